@@ -1,0 +1,75 @@
+"""Truth and prediction side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import matplotlib.image
+import numpy as np
+from lightning import Callback, LightningModule, Trainer
+from lightning.pytorch.loggers import TensorBoardLogger
+
+from callbacks.folder import rollout_file, run_folder
+from fluidsnet.export.render import Panel, side_by_side
+from fluidsnet.export.vtkhdf import read_frame
+from fluidsnet.particles import RolloutStart
+from fluidsnet.rollout import RolloutObserver
+
+
+class RolloutPicture(Callback, RolloutObserver):
+    """After ``predict``, draws the first rollout beside its truth as ``rollout.png``.
+
+    Particles are coloured by their speed, from blue to white (paper, figure 12). The picture
+    also goes to TensorBoard. It reads the files of `TrajectoryWriter`, which must come before it.
+
+    Args:
+        times: where the rows of the picture are, as shares of the truth's length.
+    """
+
+    def __init__(self, times: Sequence[float] = (0.25, 0.5, 1.0)) -> None:
+        if not all(0 <= time <= 1 for time in times):
+            raise ValueError(f"times are shares from 0 to 1, not {times}")
+        self.times = times
+        self._first: RolloutStart | None = None
+
+    def on_predict_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Forgets earlier rollouts."""
+        self._first = None
+
+    def on_rollout_start(self, start: RolloutStart) -> None:
+        """Keeps the first start."""
+        self._first = self._first or start
+
+    def on_predict_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Draws the picture."""
+        if self._first is None:
+            return
+        start, scene = self._first, self._first.state.scene
+        last = min(start.steps, len(start.truth) - 1)
+        panels = []
+        for step in (round(share * last) for share in self.times):
+            when = f"{step * scene.time_step:.2f} s"
+            true_position, true_velocity = (value.numpy() for value in start.truth[step])
+            position, data = read_frame(rollout_file(trainer, start.name), step)
+            panels += [
+                Panel(f"truth, {when}", true_position, _speed(true_velocity)),
+                Panel(f"FluidsNet, {when}", position, _speed(data["velocity"])),
+            ]
+        path = run_folder(trainer) / "rollout.png"
+        side_by_side(
+            path,
+            panels,
+            scene.domain_lower.tolist(),
+            scene.domain_upper.tolist(),
+            scene.particle_radius,
+        )
+        if isinstance(trainer.logger, TensorBoardLogger):
+            trainer.logger.experiment.add_image(
+                "rollout/side_by_side", matplotlib.image.imread(path)[..., :3], dataformats="HWC"
+            )
+        print(f"\n{path}")
+
+
+def _speed(velocity: np.ndarray) -> np.ndarray:
+    speed: np.ndarray = np.linalg.norm(velocity, axis=1)
+    return speed

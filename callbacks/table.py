@@ -1,0 +1,48 @@
+"""Tables for people and for spreadsheets: Markdown and CSV side by side."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+Cell = str | float | int
+
+
+def write_table(path: Path, header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
+    """Writes ``<path>.csv`` and ``<path>.md``.
+
+    Args:
+        path: without an ending; its folder is made.
+        header: a name a column, with its unit.
+        rows: as many cells each.
+
+    Returns:
+        the Markdown, its columns aligned.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.with_suffix(".csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        writer.writerows(rows)
+    cells = [[_text(cell) for cell in row] for row in rows]
+    widths = [max(map(len, column)) for column in zip(header, *cells, strict=True)]
+    lines = [
+        _line([name.ljust(width) for name, width in zip(header, widths, strict=True)]),
+        _line(["-" * (width - 1) + ":" for width in widths]),
+        *(
+            _line([cell.rjust(width) for cell, width in zip(row, widths, strict=True)])
+            for row in cells
+        ),
+    ]
+    text = "\n".join(lines) + "\n"
+    path.with_suffix(".md").write_text(text)
+    return text
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _text(cell: Cell) -> str:
+    return cell if isinstance(cell, str) else f"{cell:.4g}"

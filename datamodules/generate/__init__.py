@@ -1,0 +1,1 @@
+"""Data from the real solver: random scenes, one process a simulation."""

@@ -1,0 +1,169 @@
+"""``fluidsnet inspect``: what a data file holds, and what in it looks suspicious."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from datamodules.schema import Header, open_valid, simulations
+from fluidsnet.errors import UserError
+
+
+@dataclass
+class SimulationReport:
+    """What was seen of one simulation.
+
+    Attributes:
+        name: of its group.
+        frames: number of them.
+        fluid, solid: number of particles.
+        lower, upper: corners of the box around the fluid over all frames, m.
+        fastest: greatest speed, m/s.
+        solver_seconds: the solver's wall time for all frames, s.
+        threads: that the solver had.
+        suspicions: sentences, one for each thing that looks wrong.
+    """
+
+    name: str
+    frames: int
+    fluid: int
+    solid: int
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+    fastest: float
+    solver_seconds: float
+    threads: int
+    suspicions: list[str]
+
+
+def inspect_simulation(group: h5py.Group, header: Header) -> SimulationReport:
+    """Reads a simulation frame by frame.
+
+    Args:
+        group: of the simulation.
+        header: of its file.
+    """
+    name = group.name.lstrip("/")
+    frames, fluid = group["position"].shape[:2]
+    lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
+    domain_lower, domain_upper = np.array(header.domain_lower), np.array(header.domain_upper)
+    fastest, escaped, worst_jump = 0.0, 0, 0.0
+    suspicions: list[str] = []
+    not_finite: list[int] = []
+    before: NDArray[np.float64] | None = None
+    for frame in tqdm(range(frames), desc=f"reading /{name}", unit="frame", leave=False):
+        position = group["position"][frame].astype(np.float64)
+        velocity = group["velocity"][frame].astype(np.float64)
+        if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
+            not_finite.append(frame)
+            before = None
+            continue
+        lower, upper = np.minimum(lower, position.min(0)), np.maximum(upper, position.max(0))
+        fastest = max(fastest, float(np.linalg.norm(velocity, axis=1).max()))
+        radius = header.particle_radius
+        outside = (position < domain_lower - radius) | (position > domain_upper + radius)
+        escaped = max(escaped, int(outside.any(axis=1).sum()))
+        if before is not None:
+            # A row that changes its particle jumps; one that keeps it moves with its velocity.
+            moved = np.linalg.norm(position - before - header.dt * velocity, axis=1)
+            worst_jump = max(worst_jump, float(np.quantile(moved, 0.99)))
+        before = position
+    if not_finite:
+        suspicions.append(f"frame {not_finite[0]} is the first of {len(not_finite)} not finite")
+    if escaped:
+        suspicions.append(f"up to {escaped} particles are outside the domain at once")
+    if worst_jump > 2 * header.particle_radius:
+        suspicions.append(
+            f"positions and velocities disagree by {worst_jump:.3g} m a frame for 1 % of the "
+            "particles: rows may not keep their particle, or dt may be wrong"
+        )
+    times = group["time"][()]
+    if frames > 1 and not np.allclose(np.diff(times), header.dt, rtol=1e-3, atol=0):
+        suspicions.append("the frames are not dt apart")
+    if fastest == 0:
+        suspicions.append("nothing moves")
+    return SimulationReport(
+        name=name,
+        frames=frames,
+        fluid=fluid,
+        solid=group["solid_position"].shape[-2],
+        lower=lower,
+        upper=upper,
+        fastest=fastest,
+        solver_seconds=float(group["solver_seconds"][()].sum()),
+        threads=int(group.attrs.get("threads", 1)),
+        suspicions=suspicions,
+    )
+
+
+def describe(path: Path) -> str:
+    """A page of text about a file.
+
+    Args:
+        path: of a data file.
+
+    Raises:
+        UserError: the file is not valid, or damaged.
+    """
+    with open_valid(path) as file:
+        header = Header.read(file)
+        try:
+            reports = [inspect_simulation(file[name], header) for name in simulations(file)]
+        except OSError as error:
+            raise UserError(
+                f"{path}: a frame cannot be read; the file is damaged ({error})."
+            ) from error
+    size = " x ".join(
+        f"{high - low:g}"
+        for low, high in zip(header.domain_lower, header.domain_upper, strict=True)
+    )
+    lines = [
+        f"{path}: {path.stat().st_size / 1e6:.1f} MB, {len(reports)} simulation(s)",
+        f"  scene            {header.scene} in {size} m",
+        f"  solver           {header.solver}, version {header.solver_version}",
+        f"  particle radius  {header.particle_radius:g} m, support {header.support_radius:g} m",
+        f"  frame interval   {1000 * header.dt:g} ms",
+        f"  gravity          {', '.join(f'{g:g}' for g in header.gravity)} m/s²",
+        f"  density          {header.density0:g} kg/m³, viscosity {header.viscosity:g}",
+        "",
+        "  simulation  frames   time s    fluid    solid  fastest m/s  solver s per s (threads)",
+    ]
+    for report in reports:
+        time = (report.frames - 1) * header.dt
+        cost = report.solver_seconds / time if time else 0.0
+        lines.append(
+            f"  {report.name:>10}  {report.frames:6}  {time:7.3f}  {report.fluid:7}  "
+            f"{report.solid:7}  {report.fastest:11.2f}  {cost:14.1f} ({report.threads})"
+        )
+    lower = np.min([report.lower for report in reports], axis=0)
+    upper = np.max([report.upper for report in reports], axis=0)
+    lines += [
+        "",
+        f"  fluid lies between ({', '.join(f'{x:.3f}' for x in lower)}) "
+        f"and ({', '.join(f'{x:.3f}' for x in upper)}) m",
+    ]
+    suspicions = [f"/{report.name}: {words}" for report in reports for words in report.suspicions]
+    lines += ["", "suspicious:", *(f"  {words}" for words in suspicions)] if suspicions else []
+    lines += [] if suspicions else ["  nothing suspicious"]
+    return "\n".join(lines)
+
+
+def inspect_command(arguments: list[str]) -> None:
+    """Prints a page about each file named.
+
+    Raises:
+        UserError: a file is not valid.
+    """
+    parser = ArgumentParser(
+        prog="fluidsnet inspect",
+        description="Says what data files hold, and what in them looks suspicious.",
+    )
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="such as train.h5")
+    for path in parser.parse_args(arguments).files:
+        print(describe(path))

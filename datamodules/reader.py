@@ -1,0 +1,104 @@
+"""Reads frames of a data file lazily, one handle a process."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, final
+
+import h5py
+import torch
+from torch import Tensor
+
+from datamodules.schema import Header, simulations, validate
+from fluidsnet.errors import UserError
+from fluidsnet.particles import Particles
+from fluidsnet.scene import Scene
+
+
+@final
+class FrameReader:
+    """The simulations of one file.
+
+    The file is opened when a frame is first read, anew in each process: a handle is never
+    pickled and never shared across a fork.
+
+    Args:
+        path: of a data file.
+
+    Raises:
+        UserError: the file is missing, damaged or of another kind, or its solids move.
+    """
+
+    def __init__(self, path: Path) -> None:
+        validate(path)
+        self.path = path
+        #: Number of frames of each simulation, by name, in order.
+        self.frames: Mapping[str, int] = {}
+        self._handle: h5py.File | None = None
+        self._process = -1
+        self._solids: dict[str, Tensor] = {}
+        with h5py.File(path, "r") as file:
+            self.header = Header.read(file)
+            for name in simulations(file):
+                if file[name]["solid_position"].ndim == 3:
+                    raise UserError(
+                        f"{path}: the solids of /{name} move; only solids at rest are supported."
+                    )
+            self.frames = {name: len(file[name]["position"]) for name in simulations(file)}
+
+    def scene(self, stride: int) -> Scene:
+        """The scene of the file, stepped by so many frames."""
+        header = self.header
+        return Scene(
+            domain_lower=torch.tensor(header.domain_lower, dtype=torch.float32),
+            domain_upper=torch.tensor(header.domain_upper, dtype=torch.float32),
+            gravity=torch.tensor(header.gravity, dtype=torch.float32),
+            particle_radius=header.particle_radius,
+            support_radius=header.support_radius,
+            time_step=header.dt * stride,
+        )
+
+    def fluid(self, simulation: str, frame: int) -> tuple[Tensor, Tensor]:
+        """Position, m, and velocity, m/s, of the fluid particles, each (N, 3)."""
+        what = f"frame {frame} of /{simulation}"
+        return (
+            self._read(f"{simulation}/position", frame, what),
+            self._read(f"{simulation}/velocity", frame, what),
+        )
+
+    def state(self, simulation: str, frame: int, scene: Scene) -> Particles:
+        """One frame with its solids."""
+        position, velocity = self.fluid(simulation, frame)
+        if simulation not in self._solids:
+            self._solids[simulation] = self._read(
+                f"{simulation}/solid_position", (), f"the solids of /{simulation}"
+            )
+        return Particles.single(position, velocity, self._solids[simulation], scene)
+
+    def close(self) -> None:
+        """Closes this process's handle, if there is one; the next read opens it again."""
+        if self._handle is not None and self._process == os.getpid():
+            self._handle.close()
+        self._handle = None
+
+    def _read(self, name: str, index: int | tuple[()], what: str) -> Tensor:
+        try:
+            return torch.from_numpy(self._file()[name][index]).float()
+        except (OSError, KeyError, RuntimeError) as error:  # h5py raises any of them
+            raise UserError(
+                f"{self.path}: {what} cannot be read; the file is damaged or gone ({error})."
+            ) from error
+
+    def _file(self) -> h5py.File:
+        if self._handle is None or self._process != os.getpid():
+            if self._handle is not None:
+                # Inherited across a fork. While it is open, HDF5 would give it out again.
+                self._handle.close()
+            self._handle = h5py.File(self.path, "r")
+            self._process = os.getpid()
+        return self._handle
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_handle": None, "_process": -1}

@@ -1,0 +1,372 @@
+"""SPHDataModule: transitions and rollout starts from HDF5 files."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, final
+
+import torch
+from lightning import LightningDataModule
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset
+
+from datamodules.augmentation import Augmentation
+from datamodules.reader import FrameReader
+from fluidsnet.errors import UserError
+from fluidsnet.particles import RolloutStart, Transitions
+from fluidsnet.scene import Scene
+from fluidsnet.statistics import Statistics
+
+SPLITS = ("train", "val", "test")
+
+#: Statistics are taken from at most so many samples, evenly spread over the split.
+STATISTICS_SAMPLES = 256
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Where a transition starts."""
+
+    reader: FrameReader
+    simulation: str
+    frame: int
+
+
+@final
+class TransitionDataset(Dataset[Transitions]):
+    """States and what follows, each frame of a sample read once.
+
+    Args:
+        samples: where the transitions start.
+        stride: frames from a state to the next.
+        steps: next states per sample.
+        augmentation: changes a sample after it was read.
+    """
+
+    def __init__(
+        self,
+        samples: Sequence[Sample],
+        stride: int,
+        steps: int,
+        augmentation: Augmentation | None = None,
+    ) -> None:
+        self.samples, self.stride, self.steps = samples, stride, steps
+        self.augmentation = augmentation
+
+    def __len__(self) -> int:
+        return len(self.samples)
+
+    def __getitem__(self, index: int) -> Transitions:
+        sample = self.samples[index]
+        reader, simulation = sample.reader, sample.simulation
+        state = reader.state(simulation, sample.frame, reader.scene(self.stride))
+        later = [
+            reader.fluid(simulation, sample.frame + step * self.stride)
+            for step in range(1, self.steps + 1)
+        ]
+        transitions = Transitions(
+            state=state,
+            next_position=torch.stack([position for position, _ in later]),
+            next_velocity=torch.stack([velocity for _, velocity in later]),
+        )
+        return transitions if self.augmentation is None else self.augmentation(transitions)
+
+
+@final
+class SimulationTruth:
+    """The states of a simulation, a stride apart, read one at a time.
+
+    Args:
+        reader: of its file.
+        simulation: its name.
+        stride: frames from a state to the next.
+    """
+
+    def __init__(self, reader: FrameReader, simulation: str, stride: int) -> None:
+        self.reader, self.simulation, self.stride = reader, simulation, stride
+
+    def __len__(self) -> int:
+        return (self.reader.frames[self.simulation] - 1) // self.stride + 1
+
+    def __getitem__(self, step: int) -> tuple[Tensor, Tensor]:
+        return self.reader.fluid(self.simulation, step * self.stride)
+
+
+@final
+class RolloutDataset(Dataset[RolloutStart]):
+    """The first frame of each simulation.
+
+    Args:
+        reader: of a file.
+        stride: frames from a state to the next.
+        steps: of each rollout; as many as the simulation has by default.
+    """
+
+    def __init__(self, reader: FrameReader, stride: int, steps: int | None) -> None:
+        self.reader, self.stride, self.steps = reader, stride, steps
+        self.names = list(reader.frames)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __getitem__(self, index: int) -> RolloutStart:
+        name = self.names[index]
+        truth = SimulationTruth(self.reader, name, self.stride)
+        return RolloutStart(
+            name=name,
+            state=self.reader.state(name, 0, self.reader.scene(self.stride)),
+            steps=len(truth) - 1 if self.steps is None else self.steps,
+            truth=truth,
+        )
+
+
+class SPHDataModule(LightningDataModule):
+    """A folder with train.h5, val.h5 and test.h5 (see `datamodules.schema`).
+
+    Args:
+        root: the folder.
+        voxel_size: edge of a cell of the network's background grid, m; it goes with the
+            size of the scene, so scale it with the scene (paper, section 5.5).
+        stride: frames from a state to the next; the network's time step is the files' dt
+            times this.
+        steps: next states per sample, for training over several steps.
+        frame_range: first frame a sample may start at, and the one it must end before;
+            the end of the simulation by default. The paper trains on 300 to 1500.
+        sample_every: every how many frames a sample starts.
+        batch_size: whole frames in a batch.
+        split_by: `simulation` keeps each file's simulations to its own split. `frame`, to
+            reproduce the paper, puts the samples of train.h5 and val.h5 together and deals
+            them out at random, 80 % to training, 20 % to validation and test alike: frames
+            that lie next to each other then land on both sides, so that the test leaks, and
+            its figures are better than the network.
+        augmentation: changes training samples, such as `BoxSymmetry`; none by default.
+        rollout_steps: of `predict`; by default to the end of each simulation.
+        workers: processes that read ahead.
+        seed: of the split by frame.
+
+    Raises:
+        UserError: where a file is missing or unusable, or holds no sample.
+    """
+
+    def __init__(
+        self,
+        root: Path,
+        voxel_size: float,
+        stride: int = 1,
+        steps: int = 1,
+        frame_range: tuple[int, int | None] = (0, None),
+        sample_every: int = 1,
+        batch_size: int = 8,
+        split_by: Literal["simulation", "frame"] = "simulation",
+        augmentation: Augmentation | None = None,
+        rollout_steps: int | None = None,
+        workers: int = 0,
+        seed: int = 0,
+    ) -> None:
+        super().__init__()
+        for name, value, least in (
+            ("voxel_size", voxel_size, 1e-9),
+            ("stride", stride, 1),
+            ("steps", steps, 1),
+            ("sample_every", sample_every, 1),
+            ("batch_size", batch_size, 1),
+            ("rollout_steps", 1 if rollout_steps is None else rollout_steps, 1),
+            ("workers", workers, 0),
+        ):
+            if not value >= least:  # nor is NaN
+                raise UserError(f"data.{name} is {value}; it must be at least {least}.")
+        first, end = frame_range
+        if first < 0 or (end is not None and end <= first):
+            raise UserError(
+                f"data.frame_range is {frame_range}; it must be a first frame of at least 0 and "
+                "one after it, or null."
+            )
+        self.root = Path(root)
+        self.voxel_size = voxel_size
+        self.stride, self.steps = stride, steps
+        self.frame_range, self.sample_every = frame_range, sample_every
+        self.batch_size, self.split_by = batch_size, split_by
+        self.augmentation, self.rollout_steps = augmentation, rollout_steps
+        self.workers, self.seed = workers, seed
+        self._readers: dict[str, FrameReader] = {}
+        self._samples: dict[str, list[Sample]] = {}
+
+    # What a model is made from; read before `setup`, from the files' attributes alone.
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The scene of the data set; the first of its files that is there says it."""
+        for split in SPLITS:
+            if (self.root / f"{split}.h5").exists():
+                return self._reader(split).scene(self.stride)
+        raise UserError(
+            f"{self.root} holds none of train.h5, val.h5 and test.h5; "
+            "make them with `fluidsnet generate`, or set data.root."
+        )
+
+    @property
+    def time_step(self) -> float:
+        """From a state to the next, s."""
+        return self.scene.time_step
+
+    @property
+    def cells(self) -> tuple[int, int, int]:
+        """Cells of the background grid along x, y and z: the fewest that cover the domain."""
+        x, y, z = (
+            # The small share keeps 1.5 / 0.1 from becoming 16 by rounding.
+            max(1, math.ceil(float(edge) / self.voxel_size - 1e-4))
+            for edge in self.scene.extent
+        )
+        return x, y, z
+
+    @cached_property
+    def statistics(self) -> Statistics:
+        """Of the training split alone."""
+        return statistics(self._dataset("train", steps=1))
+
+    # Lightning's hooks.
+
+    def setup(self, stage: str) -> None:
+        needed = {
+            "fit": ("train", "val"),
+            "validate": ("val",),
+            "test": ("test",),
+            "predict": ("test",),
+        }[stage]
+        for split in needed:
+            self._check_scene(split)
+            if stage != "predict":
+                self._samples_of(split)
+
+    def train_dataloader(self) -> DataLoader[Transitions]:
+        return self._loader("train", shuffle=True)
+
+    def val_dataloader(self) -> DataLoader[Transitions]:
+        return self._loader("val")
+
+    def test_dataloader(self) -> DataLoader[Transitions]:
+        return self._loader("test")
+
+    def predict_dataloader(self) -> DataLoader[RolloutStart]:
+        dataset = RolloutDataset(self._reader("test"), self.stride, self.rollout_steps)
+        return DataLoader(dataset, batch_size=None)
+
+    def transfer_batch_to_device(
+        self, batch: Any, device: torch.device, dataloader_idx: int
+    ) -> Any:
+        return batch.to(device, non_blocking=True)
+
+    def teardown(self, stage: str) -> None:
+        for reader in self._readers.values():
+            reader.close()
+
+    def _loader(self, split: str, shuffle: bool = False) -> DataLoader[Transitions]:
+        dataset = self._dataset(split, self.steps if split == "train" else 1)
+        if split == "train":
+            dataset.augmentation = self.augmentation
+        # Workers are forked: they must not inherit an open file.
+        self._reader(split).close()
+        return DataLoader(
+            dataset,
+            batch_size=self.batch_size,
+            shuffle=shuffle,
+            collate_fn=Transitions.collate,
+            num_workers=self.workers,
+            persistent_workers=self.workers > 0,
+            pin_memory=torch.cuda.is_available(),
+        )
+
+    def _dataset(self, split: str, steps: int) -> TransitionDataset:
+        return TransitionDataset(self._samples_of(split), self.stride, steps)
+
+    def _reader(self, split: str) -> FrameReader:
+        if split not in self._readers:
+            self._readers[split] = FrameReader(self.root / f"{split}.h5")
+        return self._readers[split]
+
+    def _check_scene(self, split: str) -> None:
+        header, first = self._reader(split).header, self._first_header()
+        for name in ("domain_lower", "domain_upper", "gravity", "particle_radius", "dt"):
+            if getattr(header, name) != getattr(first, name):
+                raise UserError(
+                    f"{self._reader(split).path}: {name} is {getattr(header, name)}, and "
+                    f"{getattr(first, name)} in the data set's other files; "
+                    "a data set has one scene."
+                )
+
+    def _first_header(self) -> Any:
+        return next(iter(self._readers.values())).header
+
+    def _samples_of(self, split: str) -> list[Sample]:
+        if not self._samples:
+            self._samples = self._deal() if self.split_by == "frame" else {}
+        if split not in self._samples:
+            self._samples[split] = self._in_file(split)
+        if not self._samples[split]:
+            raise UserError(
+                f"{self.root}: no sample for {split}: no simulation has "
+                f"{self.steps * self.stride + 1} frames (data.steps x data.stride + 1) "
+                f"within data.frame_range {self.frame_range}."
+            )
+        return self._samples[split]
+
+    def _in_file(self, split: str) -> list[Sample]:
+        reader = self._reader(split)
+        first, end = self.frame_range
+        samples = []
+        for simulation, frames in reader.frames.items():
+            last = (frames if end is None else min(frames, end)) - self.steps * self.stride
+            samples += [
+                Sample(reader, simulation, frame) for frame in range(first, last, self.sample_every)
+            ]
+        return samples
+
+    def _deal(self) -> dict[str, list[Sample]]:
+        samples = self._in_file("train") + self._in_file("val")
+        random.Random(self.seed).shuffle(samples)
+        cut = round(0.8 * len(samples))
+        return {"train": samples[:cut], "val": samples[cut:], "test": samples[cut:]}
+
+
+def statistics(dataset: TransitionDataset) -> Statistics:
+    """Means and deviations over samples spread evenly over a data set.
+
+    Args:
+        dataset: transitions of the training split.
+    """
+    every = math.ceil(len(dataset) / STATISTICS_SAMPLES)
+    counts = 0
+    sums = torch.zeros(3, 3, dtype=torch.float64)
+    squares = torch.zeros(3, 3, dtype=torch.float64)
+    for index in range(0, len(dataset), every):
+        sample = dataset[index]
+        state = sample.state
+        velocity = state.velocity.double()
+        drift = sample.next_position[0].double() - state.position.double()
+        rows = torch.stack(
+            [
+                velocity,
+                sample.next_velocity[0].double() - velocity,
+                drift - state.scene.time_step * velocity,
+            ]
+        )
+        counts += len(state)
+        sums += rows.sum(dim=1)
+        squares += rows.square().sum(dim=1)
+    means = sums / counts
+    # One deviation for the three axes, so that no direction is stretched; never zero.
+    deviations = (squares / counts - means.square()).mean(dim=1).clamp_min(1e-24).sqrt()
+    means, deviations = means.float(), deviations.float()
+    return Statistics(
+        velocity_mean=means[0],
+        velocity_deviation=deviations[0],
+        change_mean=means[1],
+        change_deviation=deviations[1],
+        drift_mean=means[2],
+        drift_deviation=deviations[2],
+    )

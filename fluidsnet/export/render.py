@@ -1,0 +1,249 @@
+"""Pictures of particles: the truth beside the prediction, at several times.
+
+Each particle is drawn as a lit sphere into a depth buffer, seen in perspective from slightly
+above; y is up. Colour is speed, blue at rest and whiter the faster, as in Fig. 12 of the paper.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import Colormap
+
+Floats = NDArray[np.float64]
+
+_SPEEDS = ("#0b2fc4", "#1f63ea", "#62a4f7", "#b9dcff", "#ffffff")  # at rest ... fastest
+_BACKGROUND, _FLOOR, _LINES, _TEXT = "#0c1016", "#171d27", "#6d7a8c", "#e4e9f0"
+
+_DPI = 100
+_PANEL = (640, 460)  # the most a panel takes, pixels
+_NARROWEST = 400  # pixels, for the title
+_GAP, _TITLE, _BAR = 24, 38, 110  # pixels
+_FINE = 2  # the spheres are drawn this much larger, then averaged down: smooth outlines
+
+_TOWARDS_LIGHT = np.array([-0.35, 0.75, 0.56])  # right, up, towards the eye
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One picture of a state.
+
+    Attributes:
+        title: above it, such as ``truth (IISPH), 0.50 s``.
+        position: (N, 3), m, y up.
+        speed: (N,), m/s.
+    """
+
+    title: str
+    position: NDArray[Any]
+    speed: NDArray[Any]
+
+
+def side_by_side(
+    path: str | Path,
+    panels: Sequence[Panel],
+    domain_lower: ArrayLike,
+    domain_upper: ArrayLike,
+    particle_radius: float,
+    speed_max: float | None = None,
+) -> None:
+    """Draws panels in two columns to a PNG file, all with one scale of colour.
+
+    A particle that is not finite, or too far away to be in the picture, is counted in the
+    title of its panel: a prediction that blew up shows.
+
+    Args:
+        path: of the picture.
+        panels: row after row, the truth then the prediction.
+        domain_lower: (3,), the box's lower corner, m.
+        domain_upper: (3,), its upper corner, m.
+        particle_radius: m.
+        speed_max: where the scale ends, m/s; by default the fastest of all panels but for one
+            particle in 200.
+    """
+    if speed_max is not None and not speed_max > 0:
+        raise ValueError(f"speed_max must be above zero, not {speed_max}")
+    if not panels or len(panels) % 2:
+        raise ValueError(f"panels go two in a row, truth and prediction; there are {len(panels)}")
+    for panel in panels:
+        if panel.position.shape != (len(panel.speed), 3) or panel.speed.ndim != 1:
+            shapes = f"{panel.position.shape} and {panel.speed.shape}"
+            raise ValueError(f"panel {panel.title!r}: expected (N, 3) and (N,), not {shapes}")
+    # Imported here: whoever only writes files need not wait for it.
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LinearSegmentedColormap, Normalize
+    from matplotlib.figure import Figure
+    from PIL import Image
+
+    camera = _Camera(np.asarray(domain_lower, float), np.asarray(domain_upper, float))
+    top = _scale(panels) if speed_max is None else speed_max
+    colours = LinearSegmentedColormap.from_list("speed", _SPEEDS)
+    width = 2 * (camera.width + _GAP) + _BAR
+    height = len(panels) // 2 * (camera.height + _TITLE) + _GAP
+    figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor=_BACKGROUND)
+    for index, panel in enumerate(panels):
+        row, column = divmod(index, 2)
+        left = _GAP + column * (camera.width + _GAP)
+        bottom = height - (row + 1) * (camera.height + _TITLE)
+        box = (left / width, bottom / height, camera.width / width, camera.height / height)
+        _draw(figure.add_axes(box), camera, panel, particle_radius, colours, top)
+    length = min(0.7 * height, 400) / height
+    bar = figure.add_axes(((width - _BAR + 12) / width, 0.5 - length / 2, 14 / width, length))
+    shown = ScalarMappable(Normalize(0.0, top), colours)
+    scale = figure.colorbar(shown, cax=bar, extend="max", extendfrac=0.03)
+    scale.outline.set_visible(False)
+    scale.set_label("speed, m/s", color=_TEXT, fontsize=11)
+    bar.tick_params(colors=_TEXT, labelsize=10, length=3)
+    drawing = BytesIO()
+    figure.savefig(drawing, dpi=_DPI, facecolor=_BACKGROUND, pil_kwargs={"compress_level": 0})
+    # Blues and greys alone: 256 colours look the same and take a third of the bytes.
+    picture = Image.open(drawing).convert("RGB")
+    picture = picture.quantize(palette=picture.quantize(256), dither=Image.Dither.FLOYDSTEINBERG)
+    picture.save(path, format="PNG", optimize=True)
+
+
+def _scale(panels: Sequence[Panel]) -> float:
+    """Where the scale of colour ends, m/s."""
+    speeds = np.concatenate([np.asarray(panel.speed, float) for panel in panels])
+    speeds = speeds[np.isfinite(speeds)]
+    return max(float(np.quantile(speeds, 0.995)), 1e-3) if speeds.size else 1.0
+
+
+class _Camera:
+    """Looks at the middle of the box; the box fills the picture.
+
+    Attributes:
+        width, height: of the picture, pixels.
+    """
+
+    def __init__(self, lower: Floats, upper: Floats) -> None:
+        self.lower, self.upper = lower, upper
+        turn, rise = np.radians(28.0), np.radians(20.0)
+        backward = np.array(
+            [np.sin(turn) * np.cos(rise), np.sin(rise), np.cos(turn) * np.cos(rise)]
+        )
+        right = np.cross([0.0, 1.0, 0.0], backward)
+        right /= np.linalg.norm(right)
+        self._axes = np.stack([right, np.cross(backward, right), backward])
+        self.distance = 2.6 * float(np.linalg.norm(upper - lower))
+        self.eye = (lower + upper) / 2 + self.distance * backward
+        self._pixels, self._origin = 1.0, np.zeros(2)
+        corners = self.project(self.corners())[:, :2]
+        first, last = corners.min(axis=0), corners.max(axis=0)
+        margin = 0.02 * float((last - first).max())
+        size = last - first + 2 * margin
+        self._pixels = float(np.min(np.array(_PANEL) / size))
+        self._origin = np.array([first[0] - margin, first[1] - margin]) * self._pixels
+        self.width, self.height = (int(np.ceil(extent)) for extent in size * self._pixels)
+        if self.width < _NARROWEST:
+            self._origin[0] -= (_NARROWEST - self.width) / 2
+            self.width = _NARROWEST
+
+    def corners(self) -> Floats:
+        """The box's corners (8, 3), m; bit a of a row's number says upper on axis a."""
+        upper = (np.arange(8)[:, None] >> np.arange(3)) & 1
+        return np.where(upper, self.upper, self.lower)
+
+    def project(self, points: Floats) -> Floats:
+        """Turns points (N, 3), m, into (N, 3): pixels right and down, depth in m."""
+        right, up, backward = (self._axes @ (points - self.eye).T).astype(np.float64)
+        depth = -backward
+        across = np.stack([right, -up]) / depth * self.distance * self._pixels
+        return np.column_stack([across.T - self._origin, depth])
+
+    def pixels_per_metre(self, depth: Floats) -> Floats:
+        """How large a metre is at a depth (N,), m."""
+        return self.distance * self._pixels / depth
+
+
+def _draw(
+    axes: Axes, camera: _Camera, panel: Panel, radius: float, colours: Colormap, top: float
+) -> None:
+    """Draws one panel: floor, far edges, particles, near edges, title."""
+    corners = camera.project(camera.corners())
+    floor = corners[[0, 1, 5, 4]]
+    facing = (camera.eye < camera.lower, camera.eye > camera.upper)
+    axes.fill(floor[:, 0], floor[:, 1], color=_FLOOR, zorder=0)
+    for start in range(8):
+        for axis in range(3):
+            if start >> axis & 1:
+                continue
+            ends = corners[[start, start | 1 << axis]]
+            # An edge is far if neither of its two faces is turned to the eye.
+            far = not any(facing[start >> other & 1][other] for other in {0, 1, 2} - {axis})
+            order, alpha = (1, 0.5) if far else (3, 0.7)
+            axes.plot(*ends[:, :2].T, color=_LINES, linewidth=1.0, zorder=order, alpha=alpha)
+    picture, drawn = _spheres(camera, panel, radius, colours, top)
+    axes.imshow(picture, extent=(0, camera.width, camera.height, 0), zorder=2)
+    axes.set_xlim(0, camera.width)
+    axes.set_ylim(camera.height, 0)
+    axes.set_axis_off()
+    axes.set_title(panel.title, color=_TEXT, fontsize=12, loc="left", pad=6)
+    if drawn < len(panel.position):
+        lost = f"{len(panel.position) - drawn} of {len(panel.position)} particles out of sight"
+        axes.set_title(lost, color=_TEXT, fontsize=10, loc="right", pad=6)
+
+
+def _spheres(
+    camera: _Camera, panel: Panel, radius: float, colours: Colormap, top: float
+) -> tuple[NDArray[np.float32], int]:
+    """Draws the particles.
+
+    Returns:
+        picture (height, width, 4), red, green, blue, opacity; and how many particles are in it.
+    """
+    width, height = camera.width * _FINE, camera.height * _FINE
+    position = np.asarray(panel.position, float)
+    with np.errstate(all="ignore"):
+        centre = camera.project(position)
+    x, y, depth = centre.T
+    x, y = x * _FINE, y * _FINE
+    with np.errstate(invalid="ignore"):
+        seen = np.isfinite(centre).all(axis=1) & (depth > 0.2 * camera.distance)
+        seen &= (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    order = np.flatnonzero(seen)
+    order = order[np.argsort(-depth[order])]  # the nearest last: of two writes the last stays
+    x, y, depth = x[order], y[order], depth[order]
+    size = np.maximum(radius * camera.pixels_per_metre(depth) * _FINE, 0.8)
+
+    nearest = np.full(height * width, np.inf)
+    owner = np.full(height * width, -1)
+    reach = int(np.ceil(size.max())) if len(order) else 0
+    for down in range(-reach, reach + 1):
+        for across in range(-reach, reach + 1):
+            column, line = x.astype(int) + across, y.astype(int) + down
+            off = ((column + 0.5 - x) ** 2 + (line + 0.5 - y) ** 2) / size**2
+            hit = (off < 1) & (column >= 0) & (column < width) & (line >= 0) & (line < height)
+            who = np.flatnonzero(hit)
+            pixel = line[who] * width + column[who]
+            surface = depth[who] - radius * np.sqrt(1 - off[who])
+            front = surface < nearest[pixel]
+            nearest[pixel[front]], owner[pixel[front]] = surface[front], who[front]
+
+    filled = np.flatnonzero(owner >= 0)
+    who = owner[filled]
+    normal = np.stack(
+        [
+            (filled % width + 0.5 - x[who]) / size[who],
+            -(filled // width + 0.5 - y[who]) / size[who],
+        ]
+    )
+    normal = np.vstack([normal, np.sqrt(np.maximum(1 - (normal**2).sum(axis=0), 0))])
+    light = 0.62 + 0.43 * np.clip(_TOWARDS_LIGHT @ normal, 0, 1)
+    paint = colours(np.nan_to_num(panel.speed[order] / top, nan=0.0, posinf=1.0))[:, :3]
+    image = np.zeros((height * width, 4), dtype=np.float32)
+    image[filled, :3] = np.clip(paint[who] * light[:, None], 0, 1)
+    image[filled, 3] = 1
+    blocks = image.reshape(camera.height, _FINE, camera.width, _FINE, 4).sum(axis=(1, 3))
+    opacity = blocks[..., 3:]
+    blocks[..., :3] /= np.maximum(opacity, 1)
+    return np.concatenate([blocks[..., :3], opacity / _FINE**2], axis=2), len(order)

@@ -1,0 +1,250 @@
+"""Rollouts as one temporal VTKHDF file, which ParaView and VTK play.
+
+The layout, T steps of N particles::
+
+    /VTKHDF                            attributes: Version, Type = PolyData
+    /VTKHDF/Points                     (T·N, 3) float32, m       one step a chunk
+    /VTKHDF/PointData/<name>           (T·N,) or (T·N, 3)        one step a chunk
+    /VTKHDF/FieldData/<name>           (T,) float64              one number a step
+    /VTKHDF/Vertices/...               N cells of one point, stored once
+    /VTKHDF/Lines, Polygons, Strips    empty; the format wants them
+    /VTKHDF/Steps                      attribute: NSteps = T
+    /VTKHDF/Steps/Values               (T,) float64, s
+    /VTKHDF/Steps/...Offsets           (T,) or (T, 4) int64: where a step begins in the above
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Self, TypeAlias
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from fluidsnet.errors import UserError
+
+Array: TypeAlias = NDArray[Any]
+
+_COMPRESSION: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+
+#: In the order of the columns of CellOffsets and ConnectivityIdOffsets.
+_TOPOLOGIES = ("Vertices", "Lines", "Polygons", "Strips")
+
+
+class TrajectoryFile:
+    """Writes a rollout step by step; memory does not grow with the number of steps.
+
+    The file is built as ``<path>.tmp`` and renamed to ``<path>``, over an older one, when the
+    ``with`` block ends. It is consistent after every `append`, so nothing computed is lost:
+    where an exception ends the block after some steps, the file is renamed all the same, and a
+    rollout stopped at step 900 is a valid file of 900 steps. Without a step the temporary file
+    is removed and ``<path>`` stays as it was. A process killed outright leaves ``<path>.tmp``
+    with the steps appended so far.
+
+    Example::
+
+        with TrajectoryFile("rollout.vtkhdf", particles=4732) as file:
+            file.append(0.02, position, {"velocity": velocity}, {"kinetic_energy": 8.1})
+
+    Args:
+        path: of the file, ending in ``.vtkhdf``, by which ParaView knows it.
+        particles: N, the same in every step.
+    """
+
+    def __init__(self, path: str | Path, particles: int) -> None:
+        self.path = Path(path)
+        if self.path.suffix != ".vtkhdf":
+            raise UserError(f"{path}: the name of a trajectory file must end in .vtkhdf.")
+        if particles < 1:
+            raise ValueError(f"particles must be at least 1, not {particles}")
+        self.particles = particles
+        self._temporary = self.path.with_name(self.path.name + ".tmp")
+        self._file: h5py.File | None = None
+        self._steps = 0
+        self._last_time = -np.inf
+        self._first: dict[str, tuple[tuple[int, ...], np.dtype[Any]]] = {}
+
+    def __enter__(self) -> Self:
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = h5py.File(self._temporary, "w")
+        except OSError as error:
+            raise UserError(f"{self.path}: cannot be written here: {error}.") from error
+        _write_static(self._file.create_group("VTKHDF"), self.particles)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._file is None:
+            return
+        file, self._file = self._file, None
+        for name, (shape, _) in self._first.items():
+            # An append that was cut short may have left rows after the last whole step.
+            file["VTKHDF"][name].resize(self._steps * shape[0], axis=0)
+        file.close()
+        if self._steps:
+            os.replace(self._temporary, self.path)
+        else:
+            self._temporary.unlink()
+
+    def append(
+        self,
+        time: float,
+        position: Array,
+        point_data: Mapping[str, Array] | None = None,
+        field_data: Mapping[str, float] | None = None,
+    ) -> None:
+        """Adds one step; nothing of it is written if an argument is wrong.
+
+        Args:
+            time: s, later than the last step's.
+            position: (N, 3), m, stored as float32.
+            point_data: name -> (N,) or (N, 3) real numbers, of the type they have in the first
+                step. The first step fixes the names.
+            field_data: name -> one number for the step. The first step fixes the names.
+
+        Raises:
+            ValueError: other names, shapes or types than the first step's, or a time not later.
+        """
+        if self._file is None:
+            raise RuntimeError("append belongs in the `with` block of a TrajectoryFile")
+        if not (np.isfinite(time) and time > self._last_time):
+            raise ValueError(f"time must be later than {self._last_time} s, not {time} s")
+        step = self._rows(time, position, point_data or {}, field_data or {})
+        self._check(step)
+        root = self._file["VTKHDF"]
+        for name, rows in step.items():
+            if name not in self._first:
+                tail = rows.shape[1:]
+                # A chunk is one step of the particles, or many steps of a single row.
+                chunks = (len(rows) if len(rows) > 1 else 1024, *tail)
+                shapes = {"shape": (0, *tail), "maxshape": (None, *tail), "chunks": chunks}
+                root.create_dataset(name, dtype=rows.dtype, **shapes, **_COMPRESSION)
+                self._first[name] = (rows.shape, rows.dtype)
+            start = self._steps * len(rows)
+            root[name].resize(start + len(rows), axis=0)
+            root[name][start:] = rows
+        self._steps, self._last_time = self._steps + 1, time
+        root["Steps"].attrs.modify("NSteps", np.int64(self._steps))
+        self._file.flush()
+
+    def _rows(
+        self, time: float, position: Array, points: Mapping[str, Array], field: Mapping[str, float]
+    ) -> dict[str, Array]:
+        """What a step adds: name of the data set under /VTKHDF -> its rows, one or N."""
+        first = self._steps * self.particles
+        rows: dict[str, Array] = {
+            "Points": np.asarray(position, dtype=np.float32),
+            "Steps/Values": np.array([time], dtype=np.float64),
+            "Steps/PointOffsets": np.array([first], dtype=np.int64),
+            "Steps/NumberOfParts": np.array([1], dtype=np.int64),
+            # 0 in every step: all of them share the one set of vertices.
+            "Steps/PartOffsets": np.array([0], dtype=np.int64),
+            "Steps/CellOffsets": np.zeros((1, len(_TOPOLOGIES)), dtype=np.int64),
+            "Steps/ConnectivityIdOffsets": np.zeros((1, len(_TOPOLOGIES)), dtype=np.int64),
+        }
+        for name, values in points.items():
+            rows[f"PointData/{name}"] = np.asarray(values)
+            rows[f"Steps/PointDataOffsets/{name}"] = np.array([first], dtype=np.int64)
+        for name, value in field.items():
+            rows[f"FieldData/{name}"] = np.array([float(value)])
+            rows[f"Steps/FieldDataOffsets/{name}"] = np.array([self._steps], dtype=np.int64)
+            rows[f"Steps/FieldDataSizes/{name}"] = np.array([[1, 1]], dtype=np.int64)
+        return rows
+
+    def _check(self, step: dict[str, Array]) -> None:
+        odd = sorted(set(step) ^ set(self._first)) if self._steps else []
+        if names := ", ".join(name for name in odd if not name.startswith("Steps")):
+            raise ValueError(f"every step has the first one's names; missing or new: {names}")
+        n = self.particles
+        allowed: dict[str, set[tuple[int, ...]]]
+        allowed = {"Points": {(n, 3)}, "PointData": {(n,), (n, 3)}, "FieldData": {(1,)}}
+        for name, rows in step.items():
+            kind, _, label = name.partition("/")
+            if kind == "Steps":
+                continue
+            if "/" in label or (kind != "Points" and label in ("", ".")) or label == "time":
+                raise ValueError(f"data cannot be named {label!r}: empty, taken, or with a '/'")
+            # VTK has no numbers of half precision, and its flags are integers.
+            if rows.dtype.kind not in "fiu" or rows.dtype == np.float16:
+                raise ValueError(f"{name} holds {rows.dtype}, which VTK has not")
+            shape, dtype = self._first.get(name, (rows.shape, rows.dtype))
+            if rows.shape not in allowed[kind] or rows.shape != shape:
+                wanted = {shape} if self._steps else allowed[kind]
+                raise ValueError(f"{name} has shape {rows.shape}; expected one of {wanted}")
+            if not np.can_cast(rows.dtype, dtype, "same_kind"):
+                raise ValueError(f"{name} holds {rows.dtype}; in the first step it was {dtype}")
+
+
+def read_field_data(path: str | Path) -> dict[str, NDArray[np.float64]]:
+    """Reads the numbers of every step.
+
+    Returns:
+        name -> (T,); the key ``time`` holds the time of each step, s.
+
+    Raises:
+        UserError: the file is not a whole trajectory file.
+    """
+    with _opened(path) as root:
+        steps = int(root["Steps"].attrs["NSteps"])
+        columns = {"time": root["Steps/Values"], **root.get("FieldData", {})}
+        return {name: np.asarray(values[:steps], float) for name, values in columns.items()}
+
+
+def read_frame(path: str | Path, step: int) -> tuple[NDArray[np.float32], dict[str, Array]]:
+    """Reads one step.
+
+    Args:
+        path: of the file.
+        step: 0 is the first; -1 is the last, as in a list.
+
+    Returns:
+        position (N, 3), m, and name -> (N,) or (N, 3).
+
+    Raises:
+        UserError: the file is not a whole trajectory file, or has no such step.
+    """
+    with _opened(path) as root:
+        steps = int(root["Steps"].attrs["NSteps"])
+        if not -steps <= step < steps:
+            raise UserError(f"{path}: there is no step {step}; the file has {steps} steps.")
+        (particles,) = root["NumberOfPoints"][...]
+        first = int(root["Steps/PointOffsets"][step % steps])
+        rows = slice(first, first + int(particles))
+        position = np.asarray(root["Points"][rows], dtype=np.float32)
+        point_data = root.get("PointData", {}).items()
+        return position, {name: np.asarray(values[rows]) for name, values in point_data}
+
+
+@contextmanager
+def _opened(path: str | Path) -> Iterator[h5py.Group]:
+    """The group /VTKHDF of a file; what fails while reading it becomes a UserError."""
+    if not Path(path).is_file():
+        raise UserError(f"{path}: there is no such file.")
+    try:
+        with h5py.File(path, "r") as file:
+            if "VTKHDF/Steps" not in file:
+                raise UserError(f"{path}: not a trajectory file: it has no group /VTKHDF/Steps.")
+            yield file["VTKHDF"]
+    except (OSError, KeyError, IndexError, TypeError, ValueError) as error:
+        whole = "not a whole trajectory file (damaged, cut short, or of another kind)"
+        raise UserError(f"{path}: {whole}: {error}.") from error
+
+
+def _write_static(root: h5py.Group, particles: int) -> None:
+    """Writes what is the same in every step."""
+    root.attrs["Version"] = np.array([2, 3], dtype=np.int64)
+    # VTK reads strings of fixed length only.
+    root.attrs.create("Type", b"PolyData", dtype=h5py.string_dtype("ascii", len("PolyData")))
+    root["NumberOfPoints"] = np.array([particles], dtype=np.int64)
+    for topology in _TOPOLOGIES:
+        cells = particles if topology == "Vertices" else 0
+        group = root.create_group(topology)
+        group["NumberOfCells"] = np.array([cells], dtype=np.int64)
+        group["NumberOfConnectivityIds"] = np.array([cells], dtype=np.int64)
+        group["Connectivity"] = np.arange(cells, dtype=np.int64)
+        group["Offsets"] = np.arange(cells + 1, dtype=np.int64)
+    root.create_group("Steps").attrs["NSteps"] = np.int64(0)

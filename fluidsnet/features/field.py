@@ -1,0 +1,100 @@
+"""A context that differs from place to place: a voxel field sampled back at the particles.
+
+Beyond the paper, whose one vector tells each particle the same.
+"""
+
+from __future__ import annotations
+
+from typing import final
+
+import torch
+from torch import Tensor, nn
+from torch_scatter import scatter
+
+from fluidsnet.features.context import Context
+from fluidsnet.features.voxel import GridShape, occupied_cells
+from fluidsnet.particles import Particles
+
+
+@final
+class VoxelField(Context):
+    """Means over cells, a U-Net of 3-D convolutions, and the field at each particle's place.
+
+    Pressure acts over the whole depth of a fluid at once; coarse levels carry that far, and
+    the interpolation keeps the field continuous where a particle changes its cell.
+
+    Args:
+        cells: of the background grid, at the finest level.
+        inputs: width of the particles' features.
+        channels: of the field; the width of the feature.
+        levels: of the U-Net; each halves the grid.
+    """
+
+    def __init__(self, cells: GridShape, inputs: int, channels: int = 24, levels: int = 3) -> None:
+        super().__init__()
+        self.cells, self.width = cells, channels
+        self.encode = nn.Linear(inputs, channels)
+        # One channel more than the mean features: how many particles a cell has.
+        self.enter = nn.Conv3d(channels + 1, channels, 3, padding=1)
+        self.down = nn.ModuleList(
+            nn.Conv3d(channels, channels, 3, padding=1) for _ in range(levels - 1)
+        )
+        self.up = nn.ModuleList(
+            nn.Conv3d(2 * channels, channels, 3, padding=1) for _ in range(levels - 1)
+        )
+
+    def forward(self, particles: Particles, features: Tensor) -> Tensor:
+        occupied = occupied_cells(particles, self.cells)
+        encoded = torch.tanh(self.encode(features))
+        crowd = encoded.new_ones(len(encoded), 1)
+        means = scatter(encoded, occupied.index, dim=0, dim_size=len(occupied.cell), reduce="mean")
+        counts = scatter(crowd, occupied.index, dim=0, dim_size=len(occupied.cell), reduce="sum")
+        expected = self._particles_per_full_cell(particles)
+        rows = torch.cat([means, counts / expected], dim=1)
+        x, y, z = self.cells
+        grid = rows.new_zeros(particles.frames * x * y * z, rows.shape[1])
+        grid = grid.index_copy(0, occupied.cell, rows)
+        volume = grid.view(particles.frames, x, y, z, -1).permute(0, 4, 1, 2, 3)
+        return self._sample(self._convolve(volume), particles)
+
+    def _particles_per_full_cell(self, particles: Particles) -> Tensor:
+        scene = particles.scene
+        volume = scene.extent.prod() / (self.cells[0] * self.cells[1] * self.cells[2])
+        return volume / (2 * scene.particle_radius) ** 3
+
+    def _convolve(self, volume: Tensor) -> Tensor:
+        fine = [torch.tanh(self.enter(volume))]
+        for convolution in self.down:
+            coarse = nn.functional.avg_pool3d(fine[-1], 2, ceil_mode=True)
+            fine.append(torch.tanh(convolution(coarse)))
+        field = fine.pop()
+        for convolution in self.up:
+            skipped = fine.pop()
+            spread = nn.functional.interpolate(
+                field, size=skipped.shape[2:], mode="trilinear", align_corners=False
+            )
+            field = torch.tanh(convolution(torch.cat([spread, skipped], dim=1)))
+        return field
+
+    def _sample(self, field: Tensor, particles: Particles) -> Tensor:
+        """The field, (F, C, X, Y, Z), between the centers of the cells: (N, C)."""
+        scene = particles.scene
+        rows = field.permute(0, 2, 3, 4, 1).flatten(0, 3)
+        base = particles.frame * (self.cells[0] * self.cells[1] * self.cells[2])
+        place = torch.nan_to_num((particles.position - scene.domain_lower) / scene.extent)
+        lower, upper, share = [], [], []
+        for axis, count in enumerate(self.cells):
+            between = (place[:, axis] * count - 0.5).clamp(0, count - 1)
+            first = between.floor()
+            share.append(between - first)
+            lower.append(first.long())
+            upper.append((first.long() + 1).clamp_max(count - 1))
+        result = torch.zeros_like(rows[base])
+        for corner in range(8):
+            weight, row = torch.ones_like(share[0]), torch.zeros_like(base)
+            for axis, count in enumerate(self.cells):
+                far = bool(corner >> axis & 1)
+                row = row * count + (upper if far else lower)[axis]
+                weight = weight * (share[axis] if far else 1 - share[axis])
+            result = result + rows[base + row] * weight[:, None]
+        return result

@@ -1,0 +1,135 @@
+"""The front door: LightningCLI for experiments, and words of our own around it."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+from fluidsnet.errors import UserError
+
+USAGE = """usage: fluidsnet <command> [options]
+
+Learn a fluid from the particles of an SPH simulation.
+
+data:
+  generate   run the SPH solver on random scenes and store them as HDF5
+  inspect    say what a data file holds, and what in it looks suspicious
+
+experiments (LightningCLI; compose several --config, base first):
+  fit        train a network
+  validate   measure a checkpoint on the validation split
+  test       measure a checkpoint on the test split, beside the trivial predictors
+  predict    roll a checkpoint out on the test simulations and write it for ParaView
+
+test, validate and predict take a run's folder in place of its files:
+  fluidsnet test --run runs/demo
+
+`fluidsnet <command> --help` says more of each.
+"""
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Runs one command; an error that is the user's to mend is one sentence and status 1."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    words: dict[str, Callable[[list[str]], None]] = {
+        "generate": _generate,
+        "inspect": _inspect,
+        "fit": _experiment,
+        "validate": _experiment,
+        "test": _experiment,
+        "predict": _experiment,
+    }
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(USAGE, end="")
+        return
+    if arguments[0] not in words:
+        print(
+            f"fluidsnet: there is no command {arguments[0]!r}; "
+            f"the commands are {', '.join(words)}.",
+            file=sys.stderr,
+        )
+        sys.exit(2)
+    try:
+        words[arguments[0]](arguments)
+    except UserError as error:
+        print(f"fluidsnet: {error}", file=sys.stderr)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        print("fluidsnet: interrupted.", file=sys.stderr)
+        sys.exit(130)
+
+
+def _generate(arguments: list[str]) -> None:
+    from datamodules.generate.command import generate_command
+
+    generate_command(arguments[1:])
+
+
+def _inspect(arguments: list[str]) -> None:
+    from datamodules.inspection import inspect_command
+
+    inspect_command(arguments[1:])
+
+
+def _experiment(arguments: list[str]) -> None:
+    # Harmless, and said at each start.
+    for message in (
+        ".*does not have many workers.*",
+        ".*LightningCLI's args parameter is intended.*",
+        ".*isinstance.treespec, LeafSpec.*",
+        ".*is already saved during checkpointing.*",
+        ".*predict returned None.*",
+    ):
+        warnings.filterwarnings("ignore", message)
+    from fluidsnet.cli import run
+
+    run(_with_run(arguments))
+
+
+def _with_run(arguments: list[str]) -> list[str]:
+    """Replaces ``--run FOLDER`` by the configuration and the best checkpoint that lie there.
+
+    Raises:
+        UserError: they do not lie there, or the command trains.
+    """
+    folder, rest = None, []
+    words = iter(arguments)
+    for word in words:
+        if word == "--run":
+            folder = next(words, None)
+            if folder is None:
+                raise UserError("--run needs the folder of a run, such as runs/demo.")
+        elif word.startswith("--run="):
+            folder = word.removeprefix("--run=")
+        else:
+            rest.append(word)
+    if folder is None:
+        return rest
+    if rest[0] == "fit":
+        raise UserError("--run names a run to test or predict with; fit takes --config.")
+    config = Path(folder) / "config.yaml"
+    checkpoint = Path(folder) / "checkpoints" / "best.ckpt"
+    if not checkpoint.exists():
+        # A run that ended before its first validation has no best.
+        checkpoint = checkpoint.with_name("last.ckpt")
+    for path in (config, checkpoint):
+        if not path.exists():
+            raise UserError(f"{folder} is not the folder of a run: {path} is missing.")
+    # What the command leaves goes to the run's own folder.
+    logger = "--trainer.logger.init_args"
+    here = Path(folder).resolve()
+    return [
+        rest[0],
+        f"--config={config}",
+        f"--ckpt_path={checkpoint}",
+        f"{logger}.save_dir={here.parent}",
+        f"{logger}.name={here.name}",
+        f"{logger}.version=",
+        *rest[1:],
+    ]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,76 @@
+"""The network of the paper's figure 2, composed from its blocks; plain torch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import final
+
+import torch
+from torch import Tensor, nn
+
+from fluidsnet.features.context import Context
+from fluidsnet.features.input import InputFeature
+from fluidsnet.features.local import LocalFeature
+from fluidsnet.features.voxel import GridShape
+from fluidsnet.neighbors.search import NeighborSearch
+from fluidsnet.particles import Particles
+from fluidsnet.statistics import Statistics
+from fluidsnet.target import Motion, Target
+
+#: Builds a context for a grid and a width of the particles' features.
+ContextFactory = Callable[[GridShape, int], Context]
+
+
+@final
+class Network(nn.Module):
+    """Input, local and context features of a particle, and a head that predicts its target.
+
+    Args:
+        cells: of the background grid along x, y, z.
+        neighbors: search for the nearest neighbors.
+        local: feature of the neighborhood (section 4.3).
+        context: makes the feature of the whole scene (sections 4.4 and 4.5).
+        target: what the head predicts.
+        head: widths between the features and the target (section 4.6; Table 1: 32, 16, 8).
+    """
+
+    def __init__(
+        self,
+        cells: GridShape,
+        neighbors: NeighborSearch,
+        local: LocalFeature,
+        context: ContextFactory,
+        target: Target,
+        head: Sequence[int] = (32, 16, 8),
+    ) -> None:
+        super().__init__()
+        self.neighbors = neighbors
+        self.inputs = InputFeature()
+        self.local = local
+        width = self.inputs.width + local.width
+        self.context = context(cells, width)
+        self.target = target
+        layers: list[nn.Module] = []
+        before = width + self.context.width
+        for after in head:
+            layers += [nn.Linear(before, after), nn.Tanh()]
+            before = after
+        self.head = nn.Sequential(*layers, nn.Linear(before, target.width))
+
+    def set_statistics(self, statistics: Statistics) -> None:
+        """Takes the scale of inputs and target from the training split."""
+        self.inputs.set_statistics(statistics)
+        self.target.set_statistics(statistics)
+
+    def forward(self, particles: Particles) -> Tensor:
+        """The head's output (N, target.width) for the fluid particles."""
+        neighbors = self.neighbors(particles)
+        local = self.local(particles, neighbors, self.inputs)
+        features = torch.cat([self.inputs(particles), local], dim=1)
+        context = self.context(particles, features)
+        output: Tensor = self.head(torch.cat([features, context], dim=1))
+        return output
+
+    def motion(self, particles: Particles) -> Motion:
+        """The predicted motion of the fluid particles over one step."""
+        return self.target.decode(self(particles), particles)

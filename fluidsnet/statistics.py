@@ -1,0 +1,30 @@
+"""What the training data say of the size of things: the scale of inputs and targets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Means over the fluid particles of the training split alone, and one deviation for all axes.
+
+    With Δt the time step, primes for the next state:
+
+    Attributes:
+        velocity_mean: (3,) of v, m/s.
+        velocity_deviation: of v about its mean, m/s.
+        change_mean: (3,) of v' - v, m/s.
+        change_deviation: of v' - v about its mean, m/s.
+        drift_mean: (3,) of x' - x - Δt·v, m.
+        drift_deviation: of x' - x - Δt·v about its mean, m.
+    """
+
+    velocity_mean: Tensor
+    velocity_deviation: Tensor
+    change_mean: Tensor
+    change_deviation: Tensor
+    drift_mean: Tensor
+    drift_deviation: Tensor

@@ -1,0 +1,151 @@
+"""What the head predicts, and how that becomes a velocity."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import final
+
+import torch
+from torch import Tensor, nn
+
+from fluidsnet.particles import Particles
+from fluidsnet.statistics import Statistics
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What the network says of the next state.
+
+    Attributes:
+        velocity: (N, 3) at the next state, m/s.
+        displacement: (N, 3) on the way there, m; None where it is not predicted.
+    """
+
+    velocity: Tensor
+    displacement: Tensor | None = None
+
+
+class Target(nn.Module, ABC):
+    """Translates between what is learned, in numbers of order one, and motion.
+
+    Attributes:
+        width: how many numbers a particle has.
+        gives_displacement: whether `decode` gives a displacement.
+    """
+
+    width: int
+    gives_displacement: bool = False
+
+    @abstractmethod
+    def set_statistics(self, statistics: Statistics) -> None:
+        """Takes scale and mean of the target from the training split."""
+
+    @abstractmethod
+    def decode(self, output: Tensor, particles: Particles) -> Motion:
+        """The motion that the network's output (N, width) stands for."""
+
+    @abstractmethod
+    def encode(self, particles: Particles, position: Tensor, velocity: Tensor) -> Tensor:
+        """The output (N, width) that would be right.
+
+        Args:
+            particles: the state.
+            position: (N, 3) of the next state, m.
+            velocity: (N, 3) of the next state, m/s.
+        """
+
+
+@final
+class VelocityTarget(Target):
+    """The next velocity itself, which is the paper's (section 4.2)."""
+
+    width = 3
+
+    mean: Tensor
+    deviation: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(3))
+        self.register_buffer("deviation", torch.ones(()))
+
+    def set_statistics(self, statistics: Statistics) -> None:
+        self.mean.copy_(statistics.velocity_mean)
+        self.deviation.copy_(statistics.velocity_deviation)
+
+    def decode(self, output: Tensor, particles: Particles) -> Motion:
+        return Motion(self.mean + self.deviation * output)
+
+    def encode(self, particles: Particles, position: Tensor, velocity: Tensor) -> Tensor:
+        return (velocity - self.mean) / self.deviation
+
+
+@final
+class AccelerationTarget(Target):
+    """The mean acceleration over the step, a = (v' - v) / Δt (the ablation of section 5.6)."""
+
+    width = 3
+
+    mean: Tensor
+    deviation: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        # In m/s per step: the acceleration times Δt.
+        self.register_buffer("mean", torch.zeros(3))
+        self.register_buffer("deviation", torch.ones(()))
+
+    def set_statistics(self, statistics: Statistics) -> None:
+        self.mean.copy_(statistics.change_mean)
+        self.deviation.copy_(statistics.change_deviation)
+
+    def decode(self, output: Tensor, particles: Particles) -> Motion:
+        return Motion(particles.velocity + self.mean + self.deviation * output)
+
+    def encode(self, particles: Particles, position: Tensor, velocity: Tensor) -> Tensor:
+        return (velocity - particles.velocity - self.mean) / self.deviation
+
+
+@final
+class DisplacementTarget(Target):
+    """What displacement and velocity differ by from free fall over the step.
+
+    x' = x + Δt·v + ½Δt²·g + d and v' = v + Δt·g + c; d and c are predicted, each in units
+    of its deviation in the training split.
+    """
+
+    width = 6
+    gives_displacement = True
+
+    change_deviation: Tensor
+    drift_deviation: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.register_buffer("change_deviation", torch.ones(()))
+        self.register_buffer("drift_deviation", torch.ones(()))
+
+    def set_statistics(self, statistics: Statistics) -> None:
+        self.change_deviation.copy_(statistics.change_deviation)
+        self.drift_deviation.copy_(statistics.drift_deviation)
+
+    def decode(self, output: Tensor, particles: Particles) -> Motion:
+        velocity, displacement = self._free_fall(particles)
+        return Motion(
+            velocity + self.change_deviation * output[:, :3],
+            displacement + self.drift_deviation * output[:, 3:],
+        )
+
+    def encode(self, particles: Particles, position: Tensor, velocity: Tensor) -> Tensor:
+        free_velocity, free_displacement = self._free_fall(particles)
+        change = (velocity - free_velocity) / self.change_deviation
+        drift = (position - particles.position - free_displacement) / self.drift_deviation
+        return torch.cat([change, drift], dim=1)
+
+    def _free_fall(self, particles: Particles) -> tuple[Tensor, Tensor]:
+        step, gravity = particles.scene.time_step, particles.scene.gravity
+        return (
+            particles.velocity + step * gravity,
+            step * particles.velocity + step**2 / 2 * gravity,
+        )

@@ -1,0 +1,62 @@
+"""What several test files start from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+
+from fluidsnet.particles import Particles
+from fluidsnet.scene import Scene
+
+DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
+
+
+@pytest.fixture
+def sample() -> Path:
+    """A small data set that the real IISPH solver made."""
+    return Path(__file__).parent / "data" / "dam_break"
+
+
+@pytest.fixture(params=DEVICES)
+def device(request: pytest.FixtureRequest) -> torch.device:
+    return torch.device(request.param)
+
+
+@pytest.fixture
+def scene(device: torch.device) -> Scene:
+    return Scene(
+        domain_lower=torch.tensor([0.0, 0.0, 0.0], device=device),
+        domain_upper=torch.tensor([1.5, 1.0, 1.5], device=device),
+        gravity=torch.tensor([0.0, -9.81, 0.0], device=device),
+        particle_radius=0.05,
+        support_radius=0.2,
+        time_step=0.02,
+    )
+
+
+@pytest.fixture
+def make_particles(scene: Scene, device: torch.device) -> Callable[..., Particles]:
+    """Random frames: one for each pair of numbers of fluid and solid particles."""
+
+    def make(*counts: tuple[int, int], seed: int = 0) -> Particles:
+        random = torch.Generator("cpu").manual_seed(seed)
+        frames = []
+        for fluid, solid in counts:
+            position, velocity, walls = (
+                torch.rand((count, 3), generator=random) for count in (fluid, fluid, solid)
+            )
+            walls[:, 1] = 0
+            frames.append(
+                Particles.single(
+                    position.to(device) * scene.extent,
+                    2 * velocity.to(device) - 1,
+                    walls.to(device) * scene.extent,
+                    scene,
+                )
+            )
+        return Particles.collate(frames)
+
+    return make

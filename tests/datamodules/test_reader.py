@@ -1,0 +1,159 @@
+"""Frames are read lazily, through a handle of one's own."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import torch
+
+from datamodules.reader import FrameReader
+from fluidsnet.errors import UserError
+
+Write = Callable[..., Path]
+
+
+def opened(path: Path) -> int:
+    """How many of this process's descriptors lead to a file."""
+    folder = Path("/proc/self/fd")
+    if not folder.exists():
+        pytest.skip("the open files of a process are seen under /proc only")
+    links = []
+    for descriptor in folder.iterdir():
+        try:
+            links.append(os.readlink(descriptor))
+        except FileNotFoundError:  # the one that listed the folder
+            continue
+    return links.count(str(path))
+
+
+def test_the_file_is_opened_at_the_first_read(sample: Path) -> None:
+    path = sample / "train.h5"
+    reader = FrameReader(path)
+    assert opened(path) == 0
+    reader.fluid("00000", 0)
+    reader.fluid("00001", 3)
+    assert opened(path) == 1
+    reader.close()
+    assert opened(path) == 0
+    reader.fluid("00000", 1)
+    assert opened(path) == 1
+    reader.close()
+
+
+def test_frames_and_states_are_those_of_the_file(sample: Path) -> None:
+    path = sample / "train.h5"
+    reader = FrameReader(path)
+    with h5py.File(path) as file:
+        assert dict(reader.frames) == {name: len(file[name]["time"]) for name in sorted(file)}
+        for name in file:
+            for frame in (0, 7, reader.frames[name] - 1):
+                position, velocity = reader.fluid(name, frame)
+                np.testing.assert_array_equal(position, file[name]["position"][frame])
+                np.testing.assert_array_equal(velocity, file[name]["velocity"][frame])
+                state = reader.state(name, frame, reader.scene(1))
+                assert torch.equal(state.position, position)
+                np.testing.assert_array_equal(
+                    state.solid_position, file[name]["solid_position"][()]
+                )
+                assert not state.solid_velocity.any()
+    reader.close()
+
+
+def test_the_scene_is_the_header_and_steps_by_the_stride(write_file: Write) -> None:
+    scene = FrameReader(write_file("train.h5", (3, 5, 2))).scene(4)
+    assert scene.time_step == pytest.approx(0.08)
+    assert (scene.particle_radius, scene.support_radius) == (0.05, 0.2)
+    torch.testing.assert_close(scene.extent, torch.tensor([1.5, 1.0, 1.5]))
+    torch.testing.assert_close(scene.gravity, torch.tensor([0.0, -9.81, 0.0]))
+
+
+def test_no_handle_is_pickled(sample: Path) -> None:
+    path = sample / "train.h5"
+    reader = FrameReader(path)
+    expected = reader.fluid("00000", 5)
+    copy = pickle.loads(pickle.dumps(reader))
+    assert opened(path) == 1
+    assert all(torch.equal(*pair) for pair in zip(copy.fluid("00000", 5), expected, strict=True))
+    reader.close()
+    # The copy's handle is its own.
+    assert all(torch.equal(*pair) for pair in zip(copy.fluid("00000", 5), expected, strict=True))
+    copy.close()
+
+
+def _read_in_child(reader: FrameReader, inherited: int, pipe: Connection) -> None:
+    frames = [reader.fluid("00001", frame)[0].numpy() for frame in range(10)]
+    assert reader._handle is not None
+    pipe.send((frames, opened(reader.path), reader._handle.id.id == inherited))
+    pipe.close()
+
+
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_a_fork_opens_the_file_anew(sample: Path) -> None:
+    if "fork" not in multiprocessing.get_all_start_methods():
+        pytest.skip("this system does not fork")
+    path = sample / "train.h5"
+    reader = FrameReader(path)
+    reader.fluid("00000", 0)
+    assert reader._handle is not None
+    context = multiprocessing.get_context("fork")
+    ours, theirs = context.Pipe()
+    child = context.Process(
+        target=_read_in_child, args=(reader, reader._handle.id.id, theirs), daemon=True
+    )
+    child.start()
+    read = [reader.fluid("00002", frame)[0].numpy() for frame in range(10)]
+    assert ours.poll(60), "the child says nothing"
+    frames, descriptors, same = ours.recv()
+    child.join(60)
+    assert child.exitcode == 0
+    assert descriptors == 1 and not same
+    # The parent's handle has outlived the child's.
+    read += [reader.fluid("00002", frame)[0].numpy() for frame in range(10, 20)]
+    reader.close()
+    with h5py.File(path) as file:
+        np.testing.assert_array_equal(frames, file["00001/position"][:10])
+        np.testing.assert_array_equal(read, file["00002/position"][:20])
+
+
+@pytest.mark.parametrize("name", ["position", "velocity", "solid_position"])
+def test_damage_that_shows_when_read_is_named(write_file: Write, name: str) -> None:
+    path = write_file("train.h5", (3, 200, 100))
+    with h5py.File(path) as file:
+        identity = file["00000"][name].id
+        chunk = identity.get_chunk_info(identity.get_num_chunks() - 1)
+    with path.open("r+b") as content:
+        content.seek(chunk.byte_offset)
+        content.write(b"\xff" * chunk.size)
+    reader = FrameReader(path)
+    with pytest.raises(UserError) as caught:
+        reader.state("00000", 2, reader.scene(1))
+    words = str(caught.value)
+    assert str(path) in words and "/00000" in words and "damaged" in words
+    assert ("solids" if name == "solid_position" else "frame 2") in words
+    reader.close()
+
+
+def test_a_file_that_is_gone_is_named(write_file: Write) -> None:
+    path = write_file("train.h5", (3, 5, 2))
+    reader = FrameReader(path)
+    path.unlink()
+    with pytest.raises(UserError, match="gone"):
+        reader.fluid("00000", 0)
+
+
+def test_solids_that_move_are_refused(write_file: Write) -> None:
+    path = write_file("train.h5", (3, 5, 2))
+    with h5py.File(path, "a") as file:
+        del file["00000/solid_position"]
+        for name in ("solid_position", "solid_velocity"):
+            file[f"00000/{name}"] = np.zeros((3, 2, 3))
+    with pytest.raises(UserError, match="/00000 move"):
+        FrameReader(path)

@@ -1,0 +1,139 @@
+"""Random scenes: inside the walls, apart, of whole particles, of the paper's sizes."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from datamodules.generate.scenes import (
+    CLEARANCE,
+    Block,
+    Body,
+    CuboidBasin,
+    DamBreak,
+    Drop,
+    DropPool,
+    SceneKind,
+)
+
+SEEDS = 200
+
+#: Kind, particle radius; the paper's domain, and a quarter of it.
+SCENES: dict[str, tuple[SceneKind, float]] = {
+    "cuboid, paper": (CuboidBasin(), 0.05),
+    "cuboid, small": (CuboidBasin((1.75, 1.75, 1.75)), 0.025),
+    "dam, paper": (DamBreak(), 0.05),
+    "dam, small": (DamBreak((1.5, 1.0, 1.5)), 0.025),
+    "pool, paper": (DropPool(), 0.05),
+    "pool, small": (DropPool((1.75, 1.75, 1.75)), 0.025),
+}
+
+
+def sampled(kind: SceneKind, radius: float) -> list[list[Body]]:
+    return [kind.sample(np.random.default_rng(seed), radius) for seed in range(SEEDS)]
+
+
+def particles(body: Body, radius: float) -> float:
+    """About how many there are in a body."""
+    if isinstance(body, Block):
+        return float(np.prod(np.subtract(body.upper, body.lower)) / (2 * radius) ** 3)
+    return float(4 / 3 * np.pi * body.radius**3 / (2 * radius) ** 3)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_bodies_keep_clear_of_the_walls(name: str) -> None:
+    kind, radius = SCENES[name]
+    assert CLEARANCE >= 1
+    for body in itertools.chain(*sampled(kind, radius)):
+        lower, upper = body.bounds()
+        assert (lower >= CLEARANCE * radius - 1e-8).all()
+        assert (upper <= np.array(kind.domain) - CLEARANCE * radius + 1e-8).all()
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_bodies_never_overlap(name: str) -> None:
+    kind, radius = SCENES[name]
+    for bodies in sampled(kind, radius):
+        for one, other in itertools.combinations(bodies, 2):
+            assert isinstance(one, Block) and isinstance(other, Drop)
+            # From the ball's center to the block; then a spacing at least between surfaces.
+            nearest = np.clip(other.center, one.lower, one.upper)
+            gap = np.linalg.norm(nearest - np.array(other.center)) - other.radius
+            assert gap >= 2 * radius - 1e-8
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_blocks_are_a_whole_number_of_particles_wide(name: str) -> None:
+    kind, radius = SCENES[name]
+    blocks = [body for body in itertools.chain(*sampled(kind, radius)) if isinstance(body, Block)]
+    assert blocks
+    for block in blocks:
+        layers = np.subtract(block.upper, block.lower) / (2 * radius)
+        np.testing.assert_allclose(layers, np.round(layers), atol=1e-6)
+        assert (np.round(layers) >= 1).all()
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_sizes_and_places_vary(name: str) -> None:
+    kind, radius = SCENES[name]
+    scenes = sampled(kind, radius)
+    last = [bodies[-1] for bodies in scenes]
+    centers = np.array([np.sum(body.bounds(), axis=0) / 2 for body in last])
+    assert (np.ptp(centers, axis=0) > 0.03 * np.array(kind.domain)).all()
+    counts = [sum(particles(body, radius) for body in bodies) for bodies in scenes]
+    assert np.ptp(counts) > 0.2 * np.mean(counts)
+    sizes = {tuple(np.round(np.subtract(*body.bounds()), 6)) for body in last}
+    assert len(sizes) > 10
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_one_seed_one_scene(name: str) -> None:
+    kind, radius = SCENES[name]
+    assert sampled(kind, radius) == sampled(kind, radius)
+
+
+def test_a_dam_stands_in_a_corner_on_the_floor() -> None:
+    kind, radius = SCENES["dam, paper"]
+    corners = set()
+    room_lower, room_upper = kind.room(radius)
+    for (body,) in sampled(kind, radius):
+        lower, upper = body.bounds()
+        assert lower[1] == pytest.approx(room_lower[1])
+        at_lower = np.isclose(lower, room_lower)
+        at_upper = np.isclose(upper, room_upper)
+        assert (at_lower | at_upper)[[0, 2]].all()
+        corners.add((bool(at_lower[0]), bool(at_lower[2])))
+    assert len(corners) == 4
+
+
+def test_a_cuboid_is_in_the_air() -> None:
+    kind, radius = SCENES["cuboid, paper"]
+    assert all(body.bounds()[0][1] > 0.2 * kind.domain[1] for (body,) in sampled(kind, radius))
+
+
+def test_a_pool_covers_the_floor() -> None:
+    kind, radius = SCENES["pool, paper"]
+    for pool, _ in sampled(kind, radius):
+        edges = np.subtract(*reversed(pool.bounds()))
+        free = np.array(kind.domain) - 2 * CLEARANCE * radius - edges
+        assert (free[[0, 2]] < 2 * radius).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("cuboid, paper", 28_600), ("dam, paper", 46_400), ("pool, paper", 67_000)],
+)
+def test_as_many_particles_as_in_the_paper(name: str, expected: int) -> None:
+    kind, radius = SCENES[name]
+    counts = [sum(particles(body, radius) for body in bodies) for bodies in sampled(kind, radius)]
+    assert np.mean(counts) == pytest.approx(expected, rel=0.1)
+
+
+def test_a_body_too_large_is_cut_to_the_room() -> None:
+    kind = DamBreak((1.0, 1.0, 1.0), width=(3.0, 3.0), height=(3.0, 3.0), depth=(3.0, 3.0))
+    (body,) = kind.sample(np.random.default_rng(0), 0.05)
+    lower, upper = body.bounds()
+    assert (lower >= 0.05).all() and (upper <= 0.95).all()
+    np.testing.assert_allclose(upper - lower, 0.8)

@@ -1,0 +1,147 @@
+"""Pictures of truth and prediction."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib.image
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fluidsnet.export import Panel, side_by_side
+
+LOWER, UPPER, RADIUS = (0.0, 0.0, 0.0), (1.5, 1.0, 1.5), 0.025
+
+
+def block(count: int = 12) -> NDArray[np.float32]:
+    """Particles in the middle of the box, two radii apart."""
+    steps = (np.arange(count) - count / 2) * 2 * RADIUS
+    cube = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+    return np.asarray(cube + np.array([0.75, 0.5, 0.75]), dtype=np.float32)
+
+
+def panel(speed: float, position: NDArray[Any] | None = None, title: str = "") -> Panel:
+    position = block() if position is None else position
+    return Panel(title, position, np.full(len(position), speed))
+
+
+def halves(path: Path) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The left and the right panel of a picture with one row, without the colour bar."""
+    picture = matplotlib.image.imread(path)[..., :3]
+    width = (picture.shape[1] - 110) // 2
+    return picture[45:, :width], picture[45:, width : 2 * width]
+
+
+def fluid(picture: NDArray[Any]) -> NDArray[Any]:
+    """The colours (n, 3) of the pixels with a particle: more blue than any line or background."""
+    return picture[picture[..., 2] > 0.45]
+
+
+def test_faster_is_whiter_on_one_scale(tmp_path: Path) -> None:
+    path = tmp_path / "picture.png"
+    side_by_side(path, [panel(0.2), panel(2.0)], LOWER, UPPER, RADIUS)
+    slow, fast = (fluid(half).mean(axis=0) for half in halves(path))
+    assert fast.mean() > slow.mean() + 0.3
+    assert slow[2] > slow[0] + 0.4  # blue
+    assert np.ptp(fast) < 0.1  # white
+
+
+def test_equal_speeds_look_equal_and_a_scale_can_be_given(tmp_path: Path) -> None:
+    path = tmp_path / "picture.png"
+    means = []
+    for top in (None, 4.0):
+        side_by_side(path, [panel(1.0), panel(1.0)], LOWER, UPPER, RADIUS, speed_max=top)
+        left, right = (fluid(half).mean() for half in halves(path))
+        assert left == pytest.approx(right, abs=0.01)
+        means.append(left)
+    assert means[0] > means[1] + 0.2
+
+
+def test_y_is_up_and_x_goes_right(tmp_path: Path) -> None:
+    path = tmp_path / "picture.png"
+    centres = []
+    for offset in ([0, -0.2, 0], [0, 0.2, 0], [0.3, 0, 0]):
+        moved = (block(6) + np.array(offset)).astype(np.float32)
+        side_by_side(path, [panel(0.0, moved)] * 2, LOWER, UPPER, RADIUS)
+        left, _ = halves(path)
+        centres.append(np.argwhere(left[..., 2] > 0.45).mean(axis=0))
+    low, high, right = centres
+    assert high[0] < low[0] - 50
+    assert high[1] == pytest.approx(low[1], abs=8)
+    assert right[1] > low[1] + 50
+
+
+def test_a_near_particle_hides_a_far_one(tmp_path: Path) -> None:
+    path = tmp_path / "picture.png"
+    wall = block(12)
+    inside = np.tile(np.array([[0.75, 0.5, 0.75]], dtype=np.float32), (50, 1))
+    position = np.concatenate([wall, inside])
+    speed = np.concatenate([np.zeros(len(wall)), np.full(len(inside), 9.0)])
+    side_by_side(path, [Panel("", position, speed)] * 2, LOWER, UPPER, RADIUS, speed_max=9.0)
+    assert fluid(halves(path)[0])[:, 0].max() < 0.6  # the white ones are inside the blue block
+
+
+def test_a_full_page_stays_small(tmp_path: Path) -> None:
+    path = tmp_path / "picture.png"
+    rng = np.random.default_rng(0)
+    panels = [
+        Panel(f"{i}", rng.uniform(0, 1, (5000, 3)) * UPPER, rng.exponential(size=5000))
+        for i in range(8)
+    ]
+    side_by_side(path, panels, LOWER, UPPER, RADIUS)
+    assert path.stat().st_size < 1.5e6
+    height, width = matplotlib.image.imread(path).shape[:2]
+    assert height > 1200 and width > 1000
+
+
+def test_a_prediction_that_blew_up_is_drawn_and_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from matplotlib.axes import Axes
+
+    titles: list[str] = []
+    original = Axes.set_title
+
+    def record(self: Axes, label: str, *args: Any, **kwargs: Any) -> Any:
+        titles.append(label)
+        return original(self, label, *args, **kwargs)
+
+    monkeypatch.setattr(Axes, "set_title", record)
+    wild = block()
+    wild[:3], wild[3:8], wild[8:9] = np.nan, 1e6, -np.inf
+    speed = np.full(len(wild), 1.0)
+    speed[:2] = np.nan, np.inf
+    gone = np.full((4, 3), np.nan)
+    side_by_side(
+        tmp_path / "picture.png",
+        [panel(1.0, title="truth"), Panel("wild", wild, speed), panel(1.0), panel(np.nan, gone)],
+        LOWER,
+        UPPER,
+        RADIUS,
+    )
+    counts = [title for title in titles if "out of sight" in title]
+    assert counts == ["9 of 1728 particles out of sight", "4 of 4 particles out of sight"]
+
+
+@pytest.mark.parametrize("upper", [(0.3, 4.0, 0.3), (9.0, 0.5, 2.0), (14.0, 14.0, 14.0)])
+def test_boxes_of_every_shape(tmp_path: Path, upper: tuple[float, float, float]) -> None:
+    path = tmp_path / "picture.png"
+    position = np.random.default_rng(0).uniform(0, 1, (500, 3)) * upper
+    side_by_side(path, [panel(0.0, position)] * 2, LOWER, upper, RADIUS)
+    height, width = matplotlib.image.imread(path).shape[:2]
+    assert 900 <= width < 1500 and 100 < height < 600
+
+
+def test_wrong_arguments(tmp_path: Path) -> None:
+    path = tmp_path / "picture.png"
+    for panels in ([], [panel(1.0)]):
+        with pytest.raises(ValueError, match="two in a row"):
+            side_by_side(path, panels, LOWER, UPPER, RADIUS)
+    with pytest.raises(ValueError, match="panel 'odd'"):
+        odd = Panel("odd", block(), np.zeros(3))
+        side_by_side(path, [odd, odd], LOWER, UPPER, RADIUS)
+    with pytest.raises(ValueError, match="speed_max"):
+        side_by_side(path, [panel(1.0)] * 2, LOWER, UPPER, RADIUS, speed_max=0.0)
+    assert not path.exists()

@@ -1,0 +1,111 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from fluidsnet.integrator import Displacement, Euler
+from fluidsnet.metrics import PositionError, RolloutErrors, Skill, VelocityMSE
+from fluidsnet.particles import Particles
+
+Make = Callable[..., Particles]
+
+
+def test_velocity_mse_by_hand(make_particles: Make) -> None:
+    # A frame of one particle weighs as much as a frame of three.
+    particles = make_particles((1, 0), (3, 0))
+    true = particles.velocity
+    wrong = true.clone()
+    wrong[0] += torch.tensor([3.0, 0.0, 0.0], device=true.device)
+    wrong[1] += torch.tensor([0.0, 6.0, 0.0], device=true.device)
+    metric = VelocityMSE().to(true.device)
+    metric.update(wrong, true, particles)
+    # Frame one: 9 / 3 = 3. Frame two: 36 / 3 = 12, over three particles 4.
+    assert float(metric.compute()) == pytest.approx((3 + 4) / 2)
+
+
+def test_position_error_by_hand(make_particles: Make) -> None:
+    particles = make_particles((2, 0), (1, 0))
+    wrong = particles.position + torch.tensor([0.003, 0.0, 0.004], device=particles.position.device)
+    metric = PositionError().to(wrong.device)
+    metric.update(wrong, particles.position, particles)
+    metric.update(particles.position, particles.position, particles)
+    assert float(metric.compute()) == pytest.approx(2.5, rel=1e-3)
+
+
+def test_skill_of_the_trivial_predictors_and_of_the_truth(make_particles: Make) -> None:
+    particles = make_particles((40, 0))
+    falling = particles.velocity + 0.02 * particles.scene.gravity
+    # The truth lies near free fall, so that ballistic is the better of the two.
+    true = falling + 0.01 * torch.randn_like(falling)
+    for predicted, expected in ((falling, 0.0), (true, 1.0)):
+        metric = Skill().to(true.device)
+        metric.update(predicted, true, particles)
+        assert float(metric.compute()) == pytest.approx(expected, abs=1e-5)
+    worse = Skill().to(true.device)
+    worse.update(particles.velocity, true, particles)
+    assert float(worse.compute()) < -10
+
+
+def test_skill_is_over_all_frames_and_not_a_mean_of_skills(make_particles: Make) -> None:
+    particles = make_particles((1, 0))
+    device = particles.position.device
+    still = particles.moved(particles.position, torch.zeros(1, 3, device=device))
+    metric = Skill().to(device)
+    # Constant velocity is off by 1 and by 3, the prediction by 1 and by 0.
+    up = torch.tensor([[0.0, 1.0, 0.0]], device=device)
+    metric.update(0 * up, up, still)
+    metric.update(3 * up, 3 * up, still)
+    assert float(metric.compute()) == pytest.approx(1 - 1 / 10)
+
+
+@pytest.mark.parametrize("value", [torch.nan, torch.inf])
+def test_what_is_not_finite_makes_the_metric_infinite(make_particles: Make, value: float) -> None:
+    particles = make_particles((3, 0))
+    broken = particles.velocity.clone()
+    broken[1, 2] = value
+    mse, skill = VelocityMSE().to(broken.device), Skill().to(broken.device)
+    mse.update(broken, particles.velocity, particles)
+    skill.update(broken, particles.velocity + 1, particles)
+    assert float(mse.compute()) == torch.inf
+    assert float(skill.compute()) == -torch.inf
+
+
+def test_rollout_errors_by_hand(make_particles: Make) -> None:
+    start = make_particles((2, 0))
+    device = start.position.device
+    still = start.moved(torch.full((2, 3), 0.5, device=device), torch.zeros(2, 3, device=device))
+    along = torch.tensor([1.0, 0.0, 0.0], device=device)
+    for integrator, floors in ((Euler(), (10.0, 20.0)), (Displacement(), (0.0, 0.0))):
+        errors = RolloutErrors(still, integrator)
+        for step, floor in zip((1, 2), floors, strict=True):
+            # The truth accelerates from rest: x = t²/2 · 50 m/s², v = t · 50 m/s².
+            time = 0.02 * step
+            position = still.position + 25 * time**2 * along
+            velocity = (50 * time * along).expand(2, 3)
+            escapes = still.position + torch.tensor([[0.0, 0, 0], [0, 0, 2.0]], device=device)
+            found = errors.update(step, still.moved(escapes, velocity), position, velocity)
+            named = dict(zip(RolloutErrors.names, found.tolist(), strict=True))
+            moved = 25_000 * time**2
+            assert named["constant_velocity_mm"] == pytest.approx(moved, rel=1e-4)
+            fallen = 1000 * 9.81 * time**2 / 2
+            assert named["ballistic_mm"] == pytest.approx((moved**2 + fallen**2) ** 0.5, rel=1e-4)
+            # Euler goes Δt·v' where the truth goes Δt·(v + v')/2: 10 mm a step further.
+            assert named["integrator_floor_mm"] == pytest.approx(floor, abs=1e-3)
+            far = (2000**2 + moved**2) ** 0.5
+            assert named["position_error_mm"] == pytest.approx((moved + far) / 2, rel=1e-4)
+            assert named["escaped"] == 0.5
+
+
+def test_a_particle_that_is_nowhere_has_escaped_and_is_infinitely_wrong(
+    make_particles: Make,
+) -> None:
+    start = make_particles((4, 0))
+    broken = start.position.clone()
+    broken[0, 0] = torch.nan
+    errors = RolloutErrors(start, Euler())
+    found = errors.update(1, start.moved(broken, start.velocity), start.position, start.velocity)
+    named = dict(zip(RolloutErrors.names, found.tolist(), strict=True))
+    assert named["position_error_mm"] == torch.inf
+    assert named["escaped"] == 0.25

@@ -1,0 +1,119 @@
+"""Imports run downward only."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+
+#: What may import what: a module may import those of a lower rank, and its own package.
+RANKS = {
+    "fluidsnet.errors": 0,
+    "fluidsnet.scene": 0,
+    "fluidsnet.statistics": 0,
+    "fluidsnet.particles": 1,
+    "fluidsnet.schedule": 1,
+    "fluidsnet.export": 1,
+    "fluidsnet.neighbors": 2,
+    "fluidsnet.noise": 2,
+    "fluidsnet.target": 2,
+    "fluidsnet.trivial": 2,
+    "fluidsnet.walls": 2,
+    "fluidsnet.features": 3,
+    "fluidsnet.integrator": 3,
+    "fluidsnet.metrics": 4,
+    "fluidsnet.network": 4,
+    "fluidsnet.rollout": 5,
+    "fluidsnet.module": 6,
+    "fluidsnet": 7,
+    "callbacks": 8,
+    "datamodules": 8,
+    "fluidsnet.cli": 9,
+    "fluidsnet.main": 10,
+}
+
+#: All that the data modules may know of the rest.
+KNOWN_TO_DATA = {
+    "fluidsnet.errors",
+    "fluidsnet.particles",
+    "fluidsnet.scene",
+    "fluidsnet.statistics",
+}
+
+
+def modules() -> dict[str, Path]:
+    found = {}
+    for package in ("fluidsnet", "datamodules", "callbacks"):
+        for path in (ROOT / package).rglob("*.py"):
+            parts = path.relative_to(ROOT).with_suffix("").parts
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def place(module: str) -> str:
+    """The longest name in `RANKS` that a module lies under."""
+    named = [name for name in RANKS if module == name or module.startswith(f"{name}.")]
+    # The package's own __init__ re-exports; nothing else may hide behind its rank.
+    assert named and (max(named, key=len) != "fluidsnet" or module == "fluidsnet"), (
+        f"{module} has no rank: say where it belongs"
+    )
+    return max(named, key=len)
+
+
+def imports(path: Path) -> set[str]:
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            assert node.level == 0, f"{path}: a relative import hides where it leads"
+            names.add(node.module)
+    return {
+        name for name in names if name.split(".")[0] in ("fluidsnet", "datamodules", "callbacks")
+    }
+
+
+def test_imports_run_downward_only() -> None:
+    wrong = []
+    for module, path in modules().items():
+        here = place(module)
+        for imported in imports(path):
+            there = place(imported)
+            if here != there and RANKS[there] >= RANKS[here]:
+                wrong.append(f"{module} imports {imported}")
+            if here == "datamodules" and there not in {*KNOWN_TO_DATA, "datamodules"}:
+                wrong.append(f"{module} imports {imported}")
+    assert not wrong
+
+
+def test_only_one_module_imports_the_solver() -> None:
+    importers = [
+        module for module, path in modules().items() if "pysplishsplash" in path.read_text()
+    ]
+    assert importers == ["datamodules.generate.solver"]
+
+
+def test_the_network_knows_neither_lightning_nor_hdf5() -> None:
+    for module, path in modules().items():
+        if (
+            RANKS[place(module)] <= RANKS["fluidsnet.rollout"]
+            and place(module) != "fluidsnet.export"
+        ):
+            tree = ast.parse(path.read_text())
+            named = {
+                alias.name.split(".")[0]
+                for node in ast.walk(tree)
+                if isinstance(node, ast.Import)
+                for alias in node.names
+            } | {
+                str(node.module).split(".")[0]
+                for node in ast.walk(tree)
+                if isinstance(node, ast.ImportFrom)
+            }
+            assert not named & {"lightning", "h5py"}, module
+
+
+def test_no_dumping_grounds() -> None:
+    names = {path.stem for path in modules().values()}
+    assert not names & {"utils", "util", "helpers", "common", "misc"}

@@ -1,0 +1,208 @@
+"""The front door: every file in configs/ is run, on the sample."""
+
+from __future__ import annotations
+
+import csv
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from datamodules.generate.command import _parser as generate_parser
+from fluidsnet.export.vtkhdf import read_field_data, read_frame
+from fluidsnet.main import USAGE, main
+
+ROOT = Path(__file__).parents[1]
+CONFIGS = ROOT / "configs"
+TRAINER = CONFIGS / "trainer.yaml"
+PAPER = CONFIGS / "model" / "paper.yaml"
+SAMPLE = CONFIGS / "data" / "sample.yaml"
+
+Run = Callable[..., None]
+
+
+@pytest.fixture
+def run(sample: Path, tmp_path: Path) -> Run:
+    """Runs a command with the sample as data and a temporary folder for what it leaves."""
+
+    def run(word: str, *configs: Path, more: tuple[str, ...] = ()) -> None:
+        arguments = [word, *(f"--config={config}" for config in configs)]
+        if word == "fit":
+            arguments += [
+                f"--data.init_args.root={sample}",
+                "--data.init_args.workers=0",
+                "--trainer.max_epochs=1",
+                "--trainer.limit_train_batches=2",
+                "--trainer.limit_val_batches=1",
+                "--trainer.enable_progress_bar=false",
+                f"--trainer.logger.init_args.save_dir={tmp_path}",
+                "--trainer.logger.init_args.name=run",
+                "--trainer.logger.init_args.version=",
+            ]
+        main([*arguments, *more])
+
+    return run
+
+
+@pytest.mark.parametrize("model", sorted((CONFIGS / "model").glob("*.yaml")), ids=lambda p: p.stem)
+def test_every_model_trains_is_tested_and_rolls_out(
+    model: Path, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run("fit", TRAINER, model, SAMPLE)
+    folder = tmp_path / "run"
+    assert (folder / "config.yaml").exists()
+    run("test", more=(f"--run={folder}",))
+    with (folder / "one_step.csv").open() as file:
+        rows = list(csv.reader(file))
+    assert [row[0] for row in rows[1:]] == ["model", "constant velocity", "ballistic"]
+    printed = capsys.readouterr().out
+    assert (folder / "one_step.md").read_text() in printed
+    run("predict", more=(f"--run={folder}", "--data.init_args.rollout_steps=3"))
+    assert (folder / "rollout.png").stat().st_size > 10_000
+    with (folder / "rollout.csv").open() as file:
+        table = list(csv.DictReader(file))
+    assert [row["steps"] for row in table] == ["1", "2", "3"]
+    assert len(list((folder / "rollouts").glob("*.vtkhdf"))) == 1
+    # A later test or prediction leaves the training's own configuration in place.
+    assert "rollout_steps: null" in (folder / "config.yaml").read_text()
+
+
+# The paper-size scenes' own samples (frames 300 on) are longer than the sample.
+OVERLAYS: dict[str, tuple[str, ...]] = {
+    "frame_range": ("--data.init_args.frame_range=[0,null]", "--data.init_args.sample_every=1"),
+}
+
+
+@pytest.mark.parametrize("data", sorted((CONFIGS / "data").glob("*.yaml")), ids=lambda p: p.stem)
+def test_every_data_config_trains(data: Path, run: Run) -> None:
+    values = yaml.safe_load(data.read_text())["data"]["init_args"]
+    more = OVERLAYS["frame_range"] if "frame_range" in values else ()
+    # A cell as large as the paper's would leave the sample's box one cell wide; it may.
+    run("fit", TRAINER, PAPER, data, more=more)
+
+
+@pytest.mark.parametrize("size", ["", "_small"])
+@pytest.mark.parametrize("scene", ["dam_break", "cuboid_basin", "drop_pool"])
+def test_data_and_scene_configs_agree_on_table_1(scene: str, size: str) -> None:
+    recipe = yaml.safe_load((CONFIGS / "scene" / f"{scene}{size}.yaml").read_text())["recipe"]
+    data = yaml.safe_load((CONFIGS / "data" / f"{scene}{size}.yaml").read_text())["data"]
+    domain = np.array(recipe["scene"]["init_args"]["domain"])
+    cells = domain / data["init_args"]["voxel_size"]
+    expected = [18, 12, 18] if scene == "dam_break" else [21, 21, 21]
+    assert np.allclose(cells, expected)
+
+
+@pytest.mark.parametrize("scene", sorted((CONFIGS / "scene").glob("*.yaml")), ids=lambda p: p.stem)
+def test_every_scene_config_draws_its_scenes(scene: Path, tmp_path: Path) -> None:
+    parser = generate_parser()
+    options = parser.instantiate_classes(
+        parser.parse_args([f"--config={scene}", f"--root={tmp_path}"])
+    )
+    recipe = options.recipe
+    bodies = recipe.scene.sample(np.random.default_rng(0), recipe.particle_radius)
+    for body in bodies:
+        lower, upper = body.bounds()
+        assert (lower >= 0).all() and (upper <= np.array(recipe.scene.domain)).all()
+
+
+def test_the_rollout_file_holds_the_start_the_truths_error_and_each_step(
+    run: Run, tmp_path: Path, sample: Path
+) -> None:
+    import h5py
+
+    run("fit", TRAINER, PAPER, SAMPLE)
+    folder = tmp_path / "run"
+    # Ten steps more than the sample's 40, where there is no truth any more.
+    run("predict", more=(f"--run={folder}", "--data.init_args.rollout_steps=50"))
+    path = folder / "rollouts" / "00000.vtkhdf"
+    figures = read_field_data(path)
+    with h5py.File(sample / "test.h5") as file:
+        truth = file["00000/position"][()].astype(np.float64)
+        velocity = file["00000/velocity"][0].astype(np.float64)
+    position, data = read_frame(path, 0)
+    assert np.array_equal(position, truth[0].astype(np.float32))
+    assert np.array_equal(data["velocity"], velocity.astype(np.float32))
+    assert figures["time"] == pytest.approx(0.02 * np.arange(51))
+    for step in (1, 7, 40):
+        position, data = read_frame(path, step)
+        distance = 1000 * np.linalg.norm(position - truth[step], axis=1)
+        assert data["position_error"] == pytest.approx(distance, rel=1e-3, abs=1e-3)
+        assert figures["position_error_mm"][step] == pytest.approx(distance.mean(), rel=1e-4)
+        still = truth[0] + 0.02 * step * velocity - truth[step]
+        expected = 1000 * np.linalg.norm(still, axis=1).mean()
+        assert figures["constant_velocity_mm"][step] == pytest.approx(expected, rel=1e-4, abs=1e-3)
+    assert np.isnan(figures["position_error_mm"][41:]).all()
+    with (folder / "rollout.csv").open() as file_:
+        table = list(csv.DictReader(file_))
+    assert [row["steps"] for row in table] == ["1", "2", "5", "10", "25", "40"]
+    for row in table:
+        step = int(row["steps"])
+        assert float(row["model mm"]) == pytest.approx(figures["position_error_mm"][step])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["fit", "--data.batch_sise=3"], "batch_sise"),
+        (["fit", f"--config={TRAINER}", f"--config={PAPER}", f"--config={SAMPLE}",
+          "--data.init_args.root=/nowhere"], "/nowhere holds none of train.h5"),
+        (["fit", f"--config={TRAINER}", f"--config={PAPER}", f"--config={SAMPLE}",
+          "--model.init_args.integrator=Displacement"], "needs a target that predicts"),
+        (["test", "--run=/nowhere"], "/nowhere is not the folder of a run"),
+        (["test", "--run"], "--run needs the folder"),
+        (["fit", "--run=/nowhere"], "fit takes --config"),
+        (["inspect", "/nowhere.h5"], "there is no such file"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_one_sentence_and_a_status(
+    arguments: list[str],
+    words: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    monkeypatch.chdir(ROOT)
+    with pytest.raises(SystemExit) as end:
+        main([*arguments, *_elsewhere(arguments, tmp_path)])
+    assert end.value.code == 1
+    said = capsys.readouterr().err
+    assert words in said
+    assert "Traceback" not in said
+
+
+def _elsewhere(arguments: list[str], folder: Path) -> list[str]:
+    if any("trainer.yaml" in argument for argument in arguments):
+        return [f"--trainer.logger.init_args.save_dir={folder}"]
+    return []
+
+
+def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["--help"])
+    assert capsys.readouterr().out == USAGE
+    with pytest.raises(SystemExit) as end:
+        main(["nonsense"])
+    assert end.value.code == 2
+    error = capsys.readouterr().err
+    for word in ("generate", "inspect", "fit", "validate", "test", "predict"):
+        assert f"\n  {word} " in USAGE
+        assert word in error
+
+
+def test_the_installed_program_says_its_errors_on_stderr() -> None:
+    program = [sys.executable, "-m", "fluidsnet.main"]
+    ended = subprocess.run(
+        [*program, "inspect", str(ROOT / "pyproject.toml")],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        check=False,
+    )
+    assert ended.returncode == 1
+    assert ended.stdout == ""
+    assert ended.stderr.count("\n") == 1
+    assert "not a whole HDF5 file" in ended.stderr
