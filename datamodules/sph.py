@@ -266,7 +266,7 @@ class SPHDataModule(LightningDataModule):
             reader.close()
 
     def _loader(self, split: str, shuffle: bool = False) -> DataLoader[Transitions]:
-        dataset = self._dataset(split, self.steps if split == "train" else 1)
+        dataset = self._dataset(split, self._steps(split))
         if split == "train":
             dataset.augmentation = self.augmentation
         # Workers are forked: they must not inherit an open file.
@@ -306,28 +306,32 @@ class SPHDataModule(LightningDataModule):
         if not self._samples:
             self._samples = self._deal() if self.split_by == "frame" else {}
         if split not in self._samples:
-            self._samples[split] = self._in_file(split)
+            self._samples[split] = self._in_file(split, self._steps(split))
         if not self._samples[split]:
             raise UserError(
                 f"{self.root}: no sample for {split}: no simulation has "
-                f"{self.steps * self.stride + 1} frames (data.steps x data.stride + 1) "
+                f"{self._steps(split) * self.stride + 1} frames (steps x data.stride + 1) "
                 f"within data.frame_range {self.frame_range}."
             )
         return self._samples[split]
 
-    def _in_file(self, split: str) -> list[Sample]:
+    def _steps(self, split: str) -> int:
+        """Next states per sample: what is trained on does not decide what is measured."""
+        return self.steps if split == "train" else 1
+
+    def _in_file(self, split: str, steps: int) -> list[Sample]:
         reader = self._reader(split)
         first, end = self.frame_range
         samples = []
         for simulation, frames in reader.frames.items():
-            last = (frames if end is None else min(frames, end)) - self.steps * self.stride
+            last = (frames if end is None else min(frames, end)) - steps * self.stride
             samples += [
                 Sample(reader, simulation, frame) for frame in range(first, last, self.sample_every)
             ]
         return samples
 
     def _deal(self) -> dict[str, list[Sample]]:
-        samples = self._in_file("train") + self._in_file("val")
+        samples = self._in_file("train", self.steps) + self._in_file("val", self.steps)
         random.Random(self.seed).shuffle(samples)
         cut = round(0.8 * len(samples))
         return {"train": samples[:cut], "val": samples[cut:], "test": samples[cut:]}

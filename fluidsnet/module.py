@@ -19,7 +19,7 @@ from fluidsnet.features.context import GlobalVector
 from fluidsnet.features.local import LocalFeature, NeighborMean
 from fluidsnet.integrator import Euler, Integrator
 from fluidsnet.metrics import PositionError, Skill, VelocityMSE
-from fluidsnet.neighbors import NeighborSearch, TorchCluster
+from fluidsnet.neighbors import Auto, NeighborSearch
 from fluidsnet.network import ContextFactory, Network
 from fluidsnet.noise import StartNoise
 from fluidsnet.particles import Particles, RolloutStart, Transitions
@@ -43,7 +43,7 @@ class FluidsNet(LightningModule):
     Args:
         cells: of the background grid along x, y and z; follows from the data's domain and
             voxel size.
-        neighbors: search for neighbors; torch-cluster's k nearest by default.
+        neighbors: search for neighbors; by default the fastest where the particles are.
         local: local feature (paper, section 4.3).
         context: makes the feature of the whole scene; one vector by default (sections 4.4,
             4.5).
@@ -74,7 +74,7 @@ class FluidsNet(LightningModule):
         self.save_hyperparameters()
         self.network = Network(
             cells=cells,
-            neighbors=neighbors or TorchCluster(),
+            neighbors=neighbors or Auto(),
             local=local or NeighborMean(),
             context=context or GlobalVector,
             target=target or VelocityTarget(),

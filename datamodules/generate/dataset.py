@@ -21,11 +21,14 @@ from tqdm import tqdm
 
 from datamodules.generate.job import Job, SolverName
 from datamodules.generate.scene_file import PARAMETERS, SOLVER_STEPS
-from datamodules.generate.scenes import SceneKind, Vector
+from datamodules.generate.scenes import Body, SceneKind, Vector
 from datamodules.generate.solver import load_solver
 from fluidsnet.errors import UserError
 
 SPLITS = ("train", "val", "test")
+
+#: So often a scene is drawn anew that another simulation has already.
+_DRAWS = 1000
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,7 @@ class Recipe:
         frame_interval: time between stored frames, s; a whole number of solver steps.
         solver_step: the solver's fixed time step, s; 2.5 ms by default, 0.5 ms for WCSPH.
         solver: IISPH (the paper's), WCSPH, PCISPH or DFSPH.
-        seed: every simulation draws its scene from this and its own number.
+        seed: every simulation draws its scene from this, its split and its own number.
         gravity: m/s².
         density0: rest density, kg/m³.
         viscosity: coefficient of the solver's standard viscosity.
@@ -81,10 +84,37 @@ class Recipe:
         """The solver's time step, s: the recipe's, or the solver's own default."""
         return SOLVER_STEPS[self.solver] if self.solver_step is None else self.solver_step
 
-    def job(self, split: str, number: int, output: Path, threads: int) -> Job:
-        """The simulation of this number in a split."""
-        seed = [self.seed, SPLITS.index(split), number]
-        bodies = self.scene.sample(np.random.default_rng(seed), self.particle_radius)
+    def starts(self) -> dict[tuple[str, int], list[Body]]:
+        """What each simulation, by split and number, starts from; no two start alike.
+
+        Coarse particles leave few blocks to choose from, and a simulation in two splits would
+        make the test a test of memory.
+
+        Raises:
+            UserError: the kind of scene does not have that many different starts.
+        """
+        drawn: dict[tuple[str, int], list[Body]] = {}
+        for split in SPLITS:
+            for number in range(getattr(self, split)):
+                random = np.random.default_rng(self.entropy(split, number))
+                for _ in range(_DRAWS):
+                    bodies = self.scene.sample(random, self.particle_radius)
+                    if bodies not in drawn.values():
+                        break
+                else:
+                    raise UserError(
+                        f"{type(self.scene).__name__} draws no more than {len(drawn)} different "
+                        "scenes; take smaller particles, wider ranges or fewer simulations."
+                    )
+                drawn[split, number] = bodies
+        return drawn
+
+    def entropy(self, split: str, number: int) -> list[int]:
+        """The seed of a simulation."""
+        return [self.seed, SPLITS.index(split), number]
+
+    def job(self, split: str, number: int, bodies: list[Body], output: Path, threads: int) -> Job:
+        """The simulation of this number in a split, from one of the `starts`."""
         return Job(
             output=str(output),
             scene=type(self.scene).__name__,
@@ -97,7 +127,7 @@ class Recipe:
             solver_step=self.step,
             steps_per_frame=round(self.frame_interval / self.step),
             frames=self.frames,
-            seed=seed,
+            seed=self.entropy(split, number),
             bodies=bodies,
             threads=threads,
             parameters={**PARAMETERS[self.solver], **(self.solver_parameters or {})},
@@ -166,9 +196,11 @@ def generate(
 
     Raises:
         UserError: the solver is not installed, the folder holds another data set,
-            or a split would be empty because each of its simulations failed.
+            there are not as many different scenes as simulations, or a split would be
+            empty because each of its simulations failed.
     """
     load_solver()
+    starts = recipe.starts()
     parts = root / "parts"
     _claim(root, recipe)
     wanted = {
@@ -185,7 +217,7 @@ def generate(
             if output.exists():
                 done += 1
             else:
-                job = recipe.job(split, number, output, threads)
+                job = recipe.job(split, number, starts[split, number], output, threads)
                 waiting.append((output.stem, job))
     if not waiting and not parts.exists():
         return []

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datamodules.generate.dataset import Failure, Recipe, generate
+from datamodules.generate.dataset import Recipe, generate
 from datamodules.generate.job import Job, SolverName
 from datamodules.generate.scene_file import scene_file
 from datamodules.generate.scenes import CLEARANCE, Block, Body, DamBreak, Drop, DropPool, SceneKind
@@ -212,8 +212,7 @@ def test_one_seed_one_data_set(made: Path, tmp_path: Path) -> None:
     # 200 ms: enough for the splash to differ, were there any chance in it.
     np.testing.assert_array_equal(again.position, first.position[:21])
     np.testing.assert_array_equal(again.velocity, first.velocity[:21])
-    other = replace(RECIPE, seed=1).job("train", 0, tmp_path, 1)
-    assert other.bodies != RECIPE.job("train", 0, tmp_path, 1).bodies
+    assert replace(RECIPE, seed=1).starts() != RECIPE.starts() == RECIPE.starts()
 
 
 @needs_solver
@@ -255,7 +254,7 @@ def test_a_mesh_may_be_the_drop(tmp_path: Path) -> None:
     assert len(above) > 10
     assert np.abs(above).sum(axis=1).max() < drop.radius + 2 * radius
     assert np.linalg.norm(above, axis=1).max() <= drop.radius + 1e-3
-    assert 0 < len(start) - len(above)
+    assert len(above) < len(start)
 
 
 class Spoiled(DamBreak):
@@ -269,7 +268,7 @@ class Spoiled(DamBreak):
     def sample(self, random: np.random.Generator, particle_radius: float) -> list[Body]:
         self._drawn += 1
         if self.always or self._drawn == 2:
-            return [Drop((0.5, 0.5, 0.5), 0.3, str(self.mesh))]
+            return [Drop((0.5, random.uniform(0.4, 0.6), 0.5), 0.3, str(self.mesh))]
         return super().sample(random, particle_radius)
 
 
@@ -382,7 +381,8 @@ def test_the_solvers_process_imports_neither_torch_nor_lightning() -> None:
 
 
 def job(tmp_path: Path, **changes: Any) -> Job:
-    return replace(RECIPE, frames=3, **changes).job("train", 0, tmp_path / "part.h5", 1)
+    recipe = replace(RECIPE, frames=3, **changes)
+    return recipe.job("train", 0, recipe.starts()["train", 0], tmp_path / "part.h5", 1)
 
 
 class FakeSolver:
@@ -469,7 +469,7 @@ def test_a_step_of_another_length_is_found(recorder: Any) -> None:
     record, solver = recorder
     step(record, solver, 2)
     solver.now += 0.0031
-    with pytest.raises(RuntimeError, match="step 3 ends at 0.0075 s"):
+    with pytest.raises(RuntimeError, match=r"step 3 ends at 0\.0075 s"):
         record.step()
 
 
@@ -517,6 +517,24 @@ def test_a_recipe_that_cannot_be_is_an_error(changes: dict[str, Any], words: str
         replace(RECIPE, **changes)
 
 
+def test_no_two_simulations_start_alike() -> None:
+    # Without care, a fifth of so few blocks is drawn twice, also for training and for the test.
+    scene = DamBreak((1.5, 1.0, 1.5))
+    recipe = replace(RECIPE, scene=scene, particle_radius=0.06, train=20, val=4, test=6)
+    for seed in range(20):
+        starts = list(replace(recipe, seed=seed).starts().values())
+        assert len(starts) == 30
+        assert all(starts.count(bodies) == 1 for bodies in starts)
+
+
+def test_too_few_different_scenes_are_an_error(tmp_path: Path) -> None:
+    scene = DamBreak(DOMAIN, width=(0.5, 0.5), height=(0.5, 0.5), depth=(0.5, 0.5))
+    recipe = replace(RECIPE, scene=scene, train=3, val=1)
+    assert len(recipe.starts()) == 4  # the corners
+    with pytest.raises(UserError, match="DamBreak draws no more than 4 different scenes"):
+        replace(recipe, test=1).starts()
+
+
 def test_a_recipes_own_parameters_reach_the_solver(tmp_path: Path) -> None:
     made = job(tmp_path, solver_parameters={"maxError": 0.01})
     assert made.parameters == {"maxIterations": 100, "maxError": 0.01}
@@ -527,9 +545,5 @@ def test_a_job_comes_back_from_its_text(tmp_path: Path) -> None:
     kind: SceneKind = DropPool(DOMAIN, mesh=tmp_path / "drop.obj")
     made = job(tmp_path, scene=kind, particle_radius=0.05)
     back = Job.from_json(made.to_json())
-    assert back.bodies == made.bodies
-    assert replace(back, domain=DOMAIN, gravity=made.gravity, bodies=[]) == replace(made, bodies=[])
-
-
-def test_a_failure_says_what_is_left_to_know() -> None:
-    assert Failure("train-00001", [0, 0, 1], "exit status 1").name == "train-00001"
+    assert back.to_json() == made.to_json()
+    assert [type(body) for body in back.bodies] == [Block, Drop]

@@ -1,0 +1,152 @@
+"""What is said of a data file, and of one that is spoiled."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from datamodules.inspection import describe, inspect_command
+from fluidsnet.errors import UserError
+
+Spoil = Callable[[h5py.File], None]
+
+
+@pytest.fixture
+def copy(sample: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copy(sample / "train.h5", tmp_path / "train.h5"))
+
+
+def row(text: str, name: str) -> list[str]:
+    """The columns of a simulation in a report."""
+    (line,) = [line for line in text.splitlines() if line.split()[:1] == [name]]
+    return line.split()
+
+
+def test_a_report_says_what_the_file_holds(sample: Path) -> None:
+    text = describe(sample / "train.h5")
+    with h5py.File(sample / "train.h5") as file:
+        assert f"{len(file)} simulation(s)" in text
+        for name, group in file.items():
+            frames, fluid, _ = group["position"].shape
+            columns = row(text, name)
+            assert columns[1:5] == [
+                str(frames),
+                f"{group['time'][-1]:.3f}",
+                str(fluid),
+                str(len(group["solid_position"])),
+            ]
+            fastest = np.linalg.norm(group["velocity"][()], axis=-1).max()
+            assert float(columns[5]) == pytest.approx(fastest, abs=0.006)
+            cost = group["solver_seconds"][()].sum() / group["time"][-1]
+            assert float(columns[6]) == pytest.approx(cost, abs=0.06)
+            assert columns[7] == f"({group.attrs['threads']})"
+        lower = np.min([group["position"][()].min(axis=(0, 1)) for group in file.values()], axis=0)
+    assert ", ".join(f"{value:.3f}" for value in lower) in text
+    assert "DamBreak in 1.5 x 1 x 1.5 m" in text
+    assert re.search(r"solver +IISPH, version \d", text)
+    assert "20 ms" in text and "MB" in text
+
+
+@pytest.mark.parametrize("split", ["train", "val", "test"])
+def test_nothing_in_the_sample_is_suspicious(sample: Path, split: str) -> None:
+    text = describe(sample / f"{split}.h5")
+    assert text.endswith("nothing suspicious")
+    assert "suspicious:" not in text
+
+
+def not_finite(file: h5py.File) -> None:
+    file["00001/velocity"][7, 3, 1] = np.nan
+    file["00001/position"][9, 0, 0] = np.inf
+
+
+def shuffled(file: h5py.File) -> None:
+    random = np.random.default_rng(0)
+    for name in ("position", "velocity"):
+        frames = file["00001"][name][()]
+        order = random.permutation(frames.shape[1])
+        frames[20:] = frames[20:, order]
+        file["00001"][name][...] = frames
+
+
+def escaped(file: h5py.File) -> None:
+    file["00001/position"][12:, 5, 2] = 1.7
+
+
+def other_dt(file: h5py.File) -> None:
+    file.attrs["dt"] = 0.04
+
+
+def uneven(file: h5py.File) -> None:
+    file["00001/time"][5] += 0.004
+
+
+def still(file: h5py.File) -> None:
+    file["00001/velocity"][...] = 0
+    file["00001/position"][...] = file["00001/position"][0]
+
+
+SPOILED: dict[str, tuple[Spoil, str]] = {
+    "not finite": (not_finite, "frame 7 is the first of 2 not finite"),
+    "shuffled rows": (shuffled, "rows may not keep their particle"),
+    "escaped": (escaped, "up to 1 particles are outside the domain"),
+    "another dt": (other_dt, "the frames are not dt apart"),
+    "uneven time": (uneven, "the frames are not dt apart"),
+    "still": (still, "nothing moves"),
+}
+
+
+@pytest.mark.parametrize("case", SPOILED)
+def test_what_is_suspicious_is_found_where_it_is(copy: Path, case: str) -> None:
+    spoil, expected = SPOILED[case]
+    with h5py.File(copy, "a") as file:
+        spoil(file)
+    _, _, suspicions = describe(copy).partition("suspicious:\n")
+    assert re.search(rf"/00001: .*{expected}", suspicions)
+    if case != "another dt":  # the one that concerns the whole file
+        assert "/00000" not in suspicions and "/00002" not in suspicions
+
+
+def test_velocities_of_another_unit_are_suspicious(copy: Path) -> None:
+    with h5py.File(copy, "a") as file:
+        for group in file.values():
+            group["velocity"][...] *= 100
+    assert "positions and velocities disagree" in describe(copy)
+
+
+def test_a_frame_that_cannot_be_read_is_named(copy: Path) -> None:
+    with h5py.File(copy) as file:
+        chunk = file["00002/velocity"].id.get_chunk_info(4)
+    with copy.open("r+b") as content:
+        content.seek(chunk.byte_offset)
+        content.write(b"\xff" * chunk.size)
+    with pytest.raises(UserError, match=r"train\.h5: .*damaged"):
+        describe(copy)
+
+
+def test_several_files_make_several_pages(sample: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    inspect_command([str(sample / "train.h5"), str(sample / "val.h5")])
+    out = capsys.readouterr().out
+    assert f"{sample / 'train.h5'}: " in out and f"{sample / 'val.h5'}: " in out
+
+
+def test_a_bad_file_is_one_sentence_and_status_1(tmp_path: Path) -> None:
+    path = tmp_path / "bad.h5"
+    path.write_text("no data")
+    run = subprocess.run(
+        [sys.executable, "-m", "fluidsnet.main", "inspect", str(path)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 1
+    assert run.stdout == ""
+    assert len(run.stderr.strip().splitlines()) == 1
+    assert run.stderr.startswith(f"fluidsnet: {path}: not a whole HDF5 file")
