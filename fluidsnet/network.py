@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from fluidsnet.features.context import Context
 from fluidsnet.features.input import InputFeature
 from fluidsnet.features.local import LocalFeature
+from fluidsnet.features.perceptron import Perceptron
 from fluidsnet.features.voxel import GridShape
 from fluidsnet.neighbors.search import NeighborSearch
 from fluidsnet.particles import Particles
@@ -50,12 +51,7 @@ class Network(nn.Module):
         width = self.inputs.width + local.width
         self.context = context(cells, width)
         self.target = target
-        layers: list[nn.Module] = []
-        before = width + self.context.width
-        for after in head:
-            layers += [nn.Linear(before, after), nn.Tanh()]
-            before = after
-        self.head = nn.Sequential(*layers, nn.Linear(before, target.width))
+        self.head = Perceptron((width + self.context.width, *head, target.width))
 
     def set_statistics(self, statistics: Statistics) -> None:
         """Takes the scale of inputs and target from the training split."""
@@ -64,11 +60,11 @@ class Network(nn.Module):
 
     def forward(self, particles: Particles) -> Tensor:
         """The head's output (N, target.width) for the fluid particles."""
-        neighbors = self.neighbors(particles)
-        local = self.local(particles, neighbors, self.inputs)
+        local = self.local.without_edges(particles, self.neighbors, self.inputs)
+        if local is None:
+            local = self.local(particles, self.neighbors(particles), self.inputs)
         features = torch.cat([self.inputs(particles), local], dim=1)
-        context = self.context(particles, features)
-        output: Tensor = self.head(torch.cat([features, context], dim=1))
+        output: Tensor = self.head(features, self.context(particles, features))
         return output
 
     def motion(self, particles: Particles) -> Motion:

@@ -112,8 +112,11 @@ class GlobalVector(Context):
         volume = grid.view(particles.frames, *self.cells, -1).permute(0, 4, 1, 2, 3)
         for convolution, kernel in zip(self.stack, kernels(self.cells), strict=True):
             volume = torch.tanh(convolution(_padded(volume, kernel)))
-        vector: Tensor = self.reduce(volume.flatten(1))[particles.frame]
-        return vector
+        vectors: Tensor = self.reduce(volume.flatten(1))
+        if particles.frames == 1:
+            # No copy for each particle.
+            return vectors.expand(len(particles), -1)
+        return vectors[particles.frame]
 
     def _empty_grid(self, frames: int) -> Tensor:
         if self.training:

@@ -9,8 +9,10 @@ import torch
 from torch import Tensor, nn
 from torch_scatter import gather_csr, segment_csr
 
+from fluidsnet.features.dense import as_array, compiled_path_for, padded
+from fluidsnet.features.fused import EdgeLayers, neighbor_mean
 from fluidsnet.features.input import FLUID, SOLID, InputFeature
-from fluidsnet.neighbors.search import Neighbors
+from fluidsnet.neighbors.search import Neighbors, NeighborSearch
 from fluidsnet.particles import Particles
 
 
@@ -32,6 +34,21 @@ class LocalFeature(nn.Module, ABC):
             neighbors: of the fluid particles.
             inputs: gives velocities their scale.
         """
+
+    def without_edges(
+        self, particles: Particles, search: NeighborSearch, inputs: InputFeature
+    ) -> Tensor | None:
+        """The same feature where no gradient is needed, without storing neighbors.
+
+        Args:
+            particles: N fluid particles and the solid ones.
+            search: whose neighbors would be taken.
+            inputs: gives velocities their scale.
+
+        Returns:
+            (N, width), or None where there is no such way.
+        """
+        return None
 
 
 @final
@@ -59,6 +76,28 @@ class NeighborMean(LocalFeature):
         edges = edge_inputs(particles, neighbors, inputs)
         pooled: Tensor = segment_csr(self.edge(edges), neighbors.offset, reduce="mean")
         return pooled
+
+    def without_edges(
+        self, particles: Particles, search: NeighborSearch, inputs: InputFeature
+    ) -> Tensor | None:
+        if not compiled_path_for(particles.position):
+            return None
+        cells = search.cells(particles)
+        if cells is None:
+            return None
+        first, second = (layer for layer in self.edge if isinstance(layer, nn.Linear))
+        radius = particles.scene.support_radius
+        marked = first.weight[:, 6]
+        layers = EdgeLayers(
+            # Of two particles at one place, which is all a radius of zero allows, no offset.
+            offset=as_array(first.weight[:, :3] / radius if radius else 0 * first.weight[:, :3]),
+            velocity=as_array(inputs.scaled(first.weight[:, 3:6])),
+            fluid=as_array(first.bias + FLUID * marked),
+            solid=as_array(first.bias + SOLID * marked),
+            weight=padded(second.weight),
+            bias=as_array(second.bias),
+        )
+        return neighbor_mean(particles, cells, layers, search.k)
 
 
 def edge_inputs(particles: Particles, neighbors: Neighbors, inputs: InputFeature) -> Tensor:

@@ -6,6 +6,7 @@ from typing import final
 
 from fluidsnet.neighbors.cell_list import CellList
 from fluidsnet.neighbors.cell_list_cpu import CellListCPU
+from fluidsnet.neighbors.cells import Cells
 from fluidsnet.neighbors.search import Neighbors, NeighborSearch
 from fluidsnet.particles import Particles
 
@@ -30,3 +31,6 @@ class Auto(NeighborSearch):
     def __call__(self, particles: Particles) -> Neighbors:
         search = self._cpu if particles.position.device.type == "cpu" else self._elsewhere
         return search(particles)
+
+    def cells(self, particles: Particles) -> tuple[Cells, Cells] | None:
+        return self._cpu.cells(particles) if particles.position.device.type == "cpu" else None

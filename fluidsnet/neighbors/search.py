@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from fluidsnet.neighbors.cells import Cells
 from fluidsnet.particles import Particles
 
 
@@ -52,3 +53,11 @@ class NeighborSearch(ABC):
     @abstractmethod
     def __call__(self, particles: Particles) -> Neighbors:
         """The neighbors of each fluid particle, the nearest first."""
+
+    def cells(self, particles: Particles) -> tuple[Cells, Cells] | None:
+        """Fluid and solid particles sorted into cells as wide as the support radius.
+
+        For who looks for neighbors without storing them; None where the backend has no such
+        cells on the CPU.
+        """
+        return None
