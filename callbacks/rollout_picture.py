@@ -19,7 +19,7 @@ from fluidsnet.rollout import RolloutObserver
 class RolloutPicture(Callback, RolloutObserver):
     """After ``predict``, draws the first rollout beside its truth as ``rollout.png``.
 
-    Particles are coloured by their speed, from blue to white (paper, figure 12). The picture
+    Particles are colored by their speed, from blue to white (paper, figure 12). The picture
     also goes to TensorBoard. It reads the files of `TrajectoryWriter`, which must come before it.
 
     Args:

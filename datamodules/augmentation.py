@@ -69,4 +69,5 @@ class BoxSymmetry(Augmentation):
             ),
             next_position=place(sample.next_position),
             next_velocity=turn(sample.next_velocity),
+            simulation=sample.simulation,
         )

@@ -57,6 +57,9 @@ class TransitionDataset(Dataset[Transitions]):
     ) -> None:
         self.samples, self.stride, self.steps = samples, stride, steps
         self.augmentation = augmentation
+        # By its file too: one name may be in several.
+        names = dict.fromkeys((sample.reader.path, sample.simulation) for sample in samples)
+        self._numbers = {name: number for number, name in enumerate(names)}
 
     def __len__(self) -> int:
         return len(self.samples)
@@ -73,6 +76,7 @@ class TransitionDataset(Dataset[Transitions]):
             state=state,
             next_position=torch.stack([position for position, _ in later]),
             next_velocity=torch.stack([velocity for _, velocity in later]),
+            simulation=torch.tensor([self._numbers[reader.path, simulation]]),
         )
         return transitions if self.augmentation is None else self.augmentation(transitions)
 
@@ -371,6 +375,5 @@ def statistics(dataset: TransitionDataset) -> Statistics:
         velocity_deviation=deviations[0],
         change_mean=means[1],
         change_deviation=deviations[1],
-        drift_mean=means[2],
         drift_deviation=deviations[2],
     )

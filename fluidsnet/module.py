@@ -14,6 +14,7 @@ from torch.optim import Adam, Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 from torchmetrics import MetricCollection
 
+from fluidsnet.checkpoint import check, describe
 from fluidsnet.errors import UserError
 from fluidsnet.features.context import GlobalVector
 from fluidsnet.features.local import LocalFeature, NeighborMean
@@ -179,6 +180,15 @@ class FluidsNet(LightningModule):
             for observer in observers:
                 observer.on_rollout_end(batch)
 
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        describe(checkpoint, self.network)
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        check(checkpoint, self.network)
+
+    def on_train_start(self) -> None:
+        self._check_time_step()
+
     def on_validation_start(self) -> None:
         self._check_time_step()
 
@@ -227,6 +237,8 @@ def _adam(parameters: Iterable[Tensor]) -> Optimizer:
 
 def _update(metrics: MetricCollection, state: Particles, batch: Transitions) -> None:
     """Adds a batch of predicted states to velocity_mse, skill and position error."""
-    metrics["velocity_mse"].update(state.velocity, batch.next_velocity[0], batch.state)
-    metrics["skill"].update(state.velocity, batch.next_velocity[0], batch.state)
-    metrics["position_error_1_mm"].update(state.position, batch.next_position[0], batch.state)
+    before, simulation = batch.state, batch.simulation
+    position, velocity = batch.next_position[0], batch.next_velocity[0]
+    metrics["velocity_mse"].update(state.velocity, velocity, before, simulation)
+    metrics["skill"].update(state.velocity, velocity, before, simulation)
+    metrics["position_error_1_mm"].update(state.position, position, before, simulation)

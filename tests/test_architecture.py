@@ -24,6 +24,7 @@ RANKS = {
     "fluidsnet.integrator": 3,
     "fluidsnet.metrics": 4,
     "fluidsnet.network": 4,
+    "fluidsnet.checkpoint": 5,
     "fluidsnet.rollout": 5,
     "fluidsnet.module": 6,
     "fluidsnet": 7,

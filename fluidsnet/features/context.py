@@ -18,9 +18,11 @@ class Context(nn.Module, ABC):
 
     Attributes:
         width: of the feature.
+        needs_its_grid: whether its weights fit only the number of cells they were trained on.
     """
 
     width: int
+    needs_its_grid = False
 
     @abstractmethod
     def forward(self, particles: Particles, features: Tensor) -> Tensor:
@@ -68,6 +70,7 @@ class GlobalVector(Context):
         seed: of the empty cells in evaluation; in training they are drawn afresh.
     """
 
+    needs_its_grid = True
     empty: Tensor
 
     def __init__(

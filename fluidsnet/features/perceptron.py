@@ -27,7 +27,7 @@ _ROWS = 160
 
 
 @final
-class Perceptron(nn.Sequential):
+class Perceptron(nn.ModuleList):
     """Linear layers, tanh after each but the last (the paper's FCN).
 
     Without gradients on the CPU, rows go through all layers in blocks that stay in the cache,
@@ -41,7 +41,7 @@ class Perceptron(nn.Sequential):
         layers: list[nn.Module] = []
         for before, after in pairwise(widths):
             layers += [nn.Linear(before, after), nn.Tanh()]
-        super().__init__(*layers[:-1])
+        super().__init__(layers[:-1])
         self.widths = tuple(widths)
 
     def forward(self, own: Tensor, context: Tensor) -> Tensor:

@@ -94,7 +94,7 @@ class VoxelFeatureLayer(nn.Module):
         of_cells = nn.functional.linear(shared, weight[:, own.shape[1] :], self.linear.bias)
         # Unlike plain indexing, this has a backward pass that adds up rows in order.
         values = own @ weight[:, : own.shape[1]].T + gather_csr(of_cells, offset)
-        own = torch.tanh(self._normalised(values))
+        own = torch.tanh(self._normalized(values))
         return own, segment_csr(own, offset, reduce="mean")
 
     def folded(self) -> tuple[Tensor, Tensor]:
@@ -105,7 +105,7 @@ class VoxelFeatureLayer(nn.Module):
         bias = (self.linear.bias - norm.running_mean) * scale + norm.bias
         return self.linear.weight * scale[:, None], bias
 
-    def _normalised(self, values: Tensor) -> Tensor:
+    def _normalized(self, values: Tensor) -> Tensor:
         if self.training and len(values) < 2:
             # One particle has no variance; the running statistics serve.
             return nn.functional.batch_norm(
@@ -115,8 +115,8 @@ class VoxelFeatureLayer(nn.Module):
                 self.norm.weight,
                 self.norm.bias,
             )
-        normalised: Tensor = self.norm(values)
-        return normalised
+        normalized: Tensor = self.norm(values)
+        return normalized
 
 
 @final

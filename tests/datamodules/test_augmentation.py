@@ -41,6 +41,7 @@ def transitions(make_particles: Make, scene: Scene) -> Transitions:
         state=state,
         next_position=state.position + steps * state.velocity,
         next_velocity=state.velocity.expand(2, -1, -1) + steps * scene.gravity,
+        simulation=torch.arange(state.frames),
     )
 
 
@@ -62,6 +63,7 @@ def in_box(transitions: Transitions, upper: tuple[float, float, float]) -> Trans
         ),
         next_position=place(transitions.next_position),
         next_velocity=transitions.next_velocity * scale,
+        simulation=transitions.simulation,
     )
 
 

@@ -144,7 +144,7 @@ def test_a_row_keeps_its_particle(simulations: list[Simulation]) -> None:
 
 @needs_solver
 def test_the_fluid_falls_as_gravity_says(simulations: list[Simulation]) -> None:
-    # A start that is too dense at the walls bursts apart instead, at several metres a second.
+    # A start that is too dense at the walls bursts apart instead, at several meters a second.
     for simulation in simulations:
         speed = np.linalg.norm(simulation.velocity, axis=-1)
         fall = 9.81 * simulation.time
