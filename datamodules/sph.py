@@ -17,12 +17,11 @@ from torch.utils.data import DataLoader, Dataset
 
 from datamodules.augmentation import Augmentation
 from datamodules.reader import FrameReader
+from datamodules.schema import SPLITS
 from fluidsnet.errors import UserError
 from fluidsnet.particles import RolloutStart, Transitions
 from fluidsnet.scene import Scene
 from fluidsnet.statistics import Statistics
-
-SPLITS = ("train", "val", "test")
 
 #: Statistics are taken from at most so many samples, evenly spread over the split.
 STATISTICS_SAMPLES = 256
