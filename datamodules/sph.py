@@ -17,6 +17,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from datamodules.augmentation import Augmentation
 from datamodules.reader import FrameReader
+from datamodules.sampler import each_once
 from datamodules.schema import SPLITS
 from fluidsnet.errors import UserError
 from fluidsnet.particles import RolloutStart, Transitions
@@ -257,7 +258,7 @@ class SPHDataModule(LightningDataModule):
 
     def predict_dataloader(self) -> DataLoader[RolloutStart]:
         dataset = RolloutDataset(self._reader("test"), self.stride, self.rollout_steps)
-        return DataLoader(dataset, batch_size=None)
+        return DataLoader(dataset, batch_size=None, sampler=each_once(dataset))
 
     def transfer_batch_to_device(
         self, batch: Any, device: torch.device, dataloader_idx: int
@@ -278,6 +279,7 @@ class SPHDataModule(LightningDataModule):
             dataset,
             batch_size=self.batch_size,
             shuffle=shuffle,
+            sampler=None if shuffle else each_once(dataset),
             collate_fn=Transitions.collate,
             num_workers=self.workers,
             persistent_workers=self.workers > 0,

@@ -85,6 +85,7 @@ def _experiment(arguments: list[str]) -> None:
         ".*isinstance.treespec, LeafSpec.*",
         ".*is already saved during checkpointing.*",
         ".*predict returned None.*",
+        ".*Grad strides do not match bucket view strides.*",
     ):
         warnings.filterwarnings("ignore", message)
     from fluidsnet.cli import run

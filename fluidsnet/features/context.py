@@ -115,7 +115,8 @@ class GlobalVector(Context):
         volume = grid.view(particles.frames, *self.cells, -1).permute(0, 4, 1, 2, 3)
         for convolution, kernel in zip(self.stack, kernels(self.cells), strict=True):
             volume = torch.tanh(convolution(_padded(volume, kernel)))
-        vectors: Tensor = self.reduce(volume.flatten(1))
+        # Mixed precision ends here: the gradient adds up a frame's particles.
+        vectors: Tensor = self.reduce(volume.flatten(1)).to(features.dtype)
         if particles.frames == 1:
             # No copy for each particle.
             return vectors.expand(len(particles), -1)
