@@ -242,10 +242,15 @@ class SPHDataModule(LightningDataModule):
             "test": ("test",),
             "predict": ("test",),
         }[stage]
-        for split in needed:
+        # Dealt out by frame, the samples of each split come from these two files.
+        dealt = self.split_by == "frame" and stage != "predict"
+        for split in ("train", "val") if dealt else needed:
             self._check_scene(split)
-            if stage != "predict":
+        if stage != "predict":
+            for split in needed:
                 self._samples_of(split)
+        if stage == "fit" and self.augmentation is not None:
+            self.augmentation.check(self.scene)
 
     def train_dataloader(self) -> DataLoader[Transitions]:
         return self._loader("train", shuffle=True)
@@ -274,7 +279,8 @@ class SPHDataModule(LightningDataModule):
         if split == "train":
             dataset.augmentation = self.augmentation
         # Workers are forked: they must not inherit an open file.
-        self._reader(split).close()
+        for reader in self._readers.values():
+            reader.close()
         return DataLoader(
             dataset,
             batch_size=self.batch_size,
@@ -296,7 +302,8 @@ class SPHDataModule(LightningDataModule):
 
     def _check_scene(self, split: str) -> None:
         header, first = self._reader(split).header, self._first_header()
-        for name in ("domain_lower", "domain_upper", "gravity", "particle_radius", "dt"):
+        lengths = ("particle_radius", "support_radius")
+        for name in ("domain_lower", "domain_upper", "gravity", *lengths, "dt"):
             if getattr(header, name) != getattr(first, name):
                 raise UserError(
                     f"{self._reader(split).path}: {name} is {getattr(header, name)}, and "

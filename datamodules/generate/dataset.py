@@ -86,10 +86,15 @@ def generate(
         The simulations that failed; they are not in the data set.
 
     Raises:
-        UserError: the solver is not installed, the folder holds another data set,
-            there are not as many different scenes as simulations, or a split would be
-            empty because each of its simulations failed.
+        UserError: processes or threads are below one, the solver is not installed,
+            the folder holds another data set, there are not as many different scenes as
+            simulations, or a split would be empty because each of its simulations failed.
     """
+    if processes is None:
+        processes = os.cpu_count() or 1
+    for name, value in (("processes", processes), ("threads", threads)):
+        if value < 1:
+            raise UserError(f"--{name} is {value}; it must be at least 1.")
     load_solver()
     starts = recipe.starts()
     parts = root / "parts"
@@ -113,22 +118,26 @@ def generate(
     if not waiting and not parts.exists():
         return []
     parts.mkdir(exist_ok=True)
-    # What a killed call left: half-written files, scratch folders.
-    for path in parts.iterdir():
-        if path.is_dir():
-            shutil.rmtree(path)
-        elif path.suffix != ".h5":
-            path.unlink()
+    _sweep(parts)
     total = sum(len(outputs) for outputs in wanted.values()) * recipe.frames
     with (
         tempfile.TemporaryDirectory(dir=parts) as scratch,
         tqdm(total=total, initial=done * recipe.frames, unit="frame", desc="simulating") as bar,
     ):
-        failures = _run(waiting, Path(scratch), processes or os.cpu_count() or 1, bar)
+        failures = _run(waiting, Path(scratch), processes, bar)
     for split, outputs in wanted.items():
         _join(root / f"{split}.h5", [output for output in outputs if output.exists()], failures)
     shutil.rmtree(parts)
     return failures
+
+
+def _sweep(parts: Path) -> None:
+    """Removes what a killed call left beside whole simulations: scratch folders, partial files."""
+    for path in parts.iterdir():
+        if path.is_dir():
+            shutil.rmtree(path)
+        elif path.suffix != ".h5":
+            path.unlink()
 
 
 def _claim(root: Path, recipe: Recipe) -> None:

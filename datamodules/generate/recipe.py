@@ -66,6 +66,13 @@ class Recipe:
             )
         if self.frames < 2:
             raise UserError(f"frames is {self.frames}; a simulation needs two at least.")
+        if not self.particle_radius > 0:
+            raise UserError(f"particle_radius is {self.particle_radius}; it must be above zero.")
+        for split in SPLITS:
+            if getattr(self, split) < 0:
+                raise UserError(f"{split} is {getattr(self, split)}; it must be zero at least.")
+        if self.train + self.val + self.test == 0:
+            raise UserError("train, val and test are all zero; there is nothing to simulate.")
 
     @property
     def step(self) -> float:

@@ -178,6 +178,9 @@ def test_gravity_along_no_single_axis_is_refused(
 
 def test_only_training_is_augmented(sample: Path) -> None:
     class Zero(Augmentation):
+        def check(self, scene: Scene) -> None:
+            assert float(scene.gravity[1]) < 0
+
         def __call__(self, sample: Transitions) -> Transitions:
             state = sample.state
             return replace(sample, state=state.moved(0 * state.position, 0 * state.velocity))

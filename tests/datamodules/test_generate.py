@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import signal
@@ -28,9 +27,7 @@ from datamodules.generate.scenes import CLEARANCE, Block, Body, DamBreak, Drop, 
 from datamodules.schema import Header, validate
 from fluidsnet.errors import UserError
 
-needs_solver = pytest.mark.skipif(
-    importlib.util.find_spec("pysplishsplash") is None, reason="pysplishsplash is not installed"
-)
+needs_solver = pytest.mark.usefixtures("real_solver")
 
 EDGE, RADIUS, INTERVAL = 1.0, 0.08, 0.01
 DOMAIN = (EDGE, EDGE, EDGE)
@@ -99,7 +96,7 @@ def by_place(position: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory: pytest.TempPathFactory, real_solver: None) -> Path:
     root = tmp_path_factory.mktemp("made") / "dam"
     assert generate(RECIPE, root, processes=2) == []
     return root
@@ -310,6 +307,14 @@ def test_another_recipe_leaves_the_folder_alone(made: Path) -> None:
     assert (made / "train.h5").stat().st_mtime_ns == before
 
 
+@pytest.mark.parametrize("name", ["processes", "threads"])
+@pytest.mark.parametrize("value", [0, -1])
+def test_less_than_one_process_or_thread_is_an_error(tmp_path: Path, name: str, value: int) -> None:
+    with pytest.raises(UserError, match=f"--{name} is {value}"):
+        generate(RECIPE, tmp_path / "data", **{name: value})
+    assert not (tmp_path / "data").exists()
+
+
 @needs_solver
 def test_files_of_unknown_origin_are_left_alone(tmp_path: Path) -> None:
     (tmp_path / "val.h5").write_bytes(b"precious")
@@ -334,7 +339,14 @@ generate(recipe, Path(sys.argv[1]), processes=1)
 def test_a_killed_run_is_taken_up_where_it_was(tmp_path: Path) -> None:
     root, frames = tmp_path / "data", 200
     command = [sys.executable, "-c", SCRIPT.format(frames=frames), str(root)]
-    run = subprocess.Popen(command, start_new_session=True, stderr=subprocess.DEVNULL)
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    run = subprocess.Popen(
+        command,
+        start_new_session=True,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "TMPDIR": str(scratch)},
+    )
     first = root / "parts" / "train-00000.h5"
     unfinished: list[Path] = []
     deadline = time.monotonic() + 300
@@ -348,6 +360,7 @@ def test_a_killed_run_is_taken_up_where_it_was(tmp_path: Path) -> None:
     run.wait()
     assert list(root.glob("parts/*.tmp")), "something is left half-written"
     assert not list(root.glob("*.h5"))
+    assert not list(scratch.iterdir()), "nothing is left where nobody looks"
     validate(first)
     before = (first.stat().st_mtime_ns, first.stat().st_ino)
 
@@ -504,6 +517,10 @@ def test_each_solver_has_its_own_step(solver: SolverName, step: float, tmp_path:
         ({"solver_step": -0.0025}, "solver_step is -0.0025"),
         ({"frame_interval": 0.0011, "solver": "WCSPH"}, "solver steps .0.0005 s."),
         ({"frames": 1}, "frames is 1"),
+        ({"particle_radius": 0.0}, "particle_radius is 0.0"),
+        ({"train": -1}, "train is -1"),
+        ({"val": -2}, "val is -2"),
+        ({"train": 0}, "train, val and test are all zero"),
     ],
 )
 def test_a_recipe_that_cannot_be_is_an_error(changes: dict[str, Any], words: str) -> None:
