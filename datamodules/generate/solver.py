@@ -84,7 +84,8 @@ def simulate(job: Job, report: int) -> None:
         UserError: the solver is not installed.
     """
     solver = load_solver()
-    output = Path(job.output)
+    # The solver looks for files elsewhere than in the working folder.
+    output = Path(job.output).resolve()
     partial = output.with_name(f"{output.name}.{os.getpid()}.tmp")
     try:
         with tempfile.TemporaryDirectory(dir=output.parent) as scratch:

@@ -204,8 +204,10 @@ def test_the_solvers_seconds_are_kept_for_each_frame(simulations: list[Simulatio
 
 
 @needs_solver
-def test_one_seed_one_data_set(made: Path, tmp_path: Path) -> None:
-    generate(replace(RECIPE, train=1, frames=21), tmp_path / "again", processes=1)
+def test_one_seed_one_data_set(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # A folder named from where one is, as in the README, is made there.
+    monkeypatch.chdir(tmp_path)
+    generate(replace(RECIPE, train=1, frames=21), Path("again"), processes=1)
     again, first = read(tmp_path / "again" / "train.h5")[0], read(made / "train.h5")[0]
     # 200 ms: enough for the splash to differ, were there any chance in it.
     np.testing.assert_array_equal(again.position, first.position[:21])
