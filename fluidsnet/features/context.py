@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.profiler import record_function
 
+from fluidsnet.features.precise import precise_on_cpu
 from fluidsnet.features.voxel import Cells, GridShape, VoxelFeature, occupied_cells
 from fluidsnet.particles import Particles
 
@@ -125,8 +126,9 @@ class GlobalVector(Context):
         # Cells first, channels last: one row a cell to write to.
         grid = grid.index_copy(0, occupied.cell, voxels.to(grid.dtype))
         volume = grid.view(frames, *self.cells, -1).permute(0, 4, 1, 2, 3)
-        for convolution, kernel in zip(self.stack, kernels(self.cells), strict=True):
-            volume = torch.tanh(convolution(_padded(volume, kernel)))
+        with precise_on_cpu(volume):
+            for convolution, kernel in zip(self.stack, kernels(self.cells), strict=True):
+                volume = torch.tanh(convolution(_padded(volume, kernel)))
         vectors: Tensor = self.reduce(volume.flatten(1))
         return vectors
 

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch_scatter import scatter
 
 from fluidsnet.features.context import Context
-from fluidsnet.features.precise import PreciseLinear
+from fluidsnet.features.precise import PreciseLinear, precise_on_cpu
 from fluidsnet.features.voxel import GridShape, occupied_cells
 from fluidsnet.particles import Particles
 
@@ -56,7 +56,9 @@ class VoxelField(Context):
         grid = rows.new_zeros(particles.frames * x * y * z, rows.shape[1])
         grid = grid.index_copy(0, occupied.cell, rows)
         volume = grid.view(particles.frames, x, y, z, -1).permute(0, 4, 1, 2, 3)
-        return self._sample(self._convolve(volume), particles)
+        with precise_on_cpu(volume):
+            field = self._convolve(volume)
+        return self._sample(field, particles)
 
     def _particles_per_full_cell(self, particles: Particles) -> Tensor:
         scene = particles.scene

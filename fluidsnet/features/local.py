@@ -11,6 +11,7 @@ from torch.profiler import record_function
 from torch_scatter import gather_csr, segment_csr
 
 from fluidsnet.features.dense import as_array, compiled_path_for, padded
+from fluidsnet.features.edge_mean import edge_mean
 from fluidsnet.features.fused import EdgeLayers, neighbor_mean
 from fluidsnet.features.input import FLUID, SOLID, InputFeature
 from fluidsnet.features.precise import PreciseLinear
@@ -78,6 +79,15 @@ class NeighborMean(LocalFeature):
         )
 
     def forward(self, particles: Particles, neighbors: Neighbors, inputs: InputFeature) -> Tensor:
+        if not _needs_torch(particles):
+            position = torch.cat([particles.position, particles.solid_position])
+            rows = torch.cat([position, sent_by(particles, inputs)], dim=1)
+            first, second = (layer for layer in self.edge if isinstance(layer, nn.Linear))
+            # Offsets are in support radii for the weights, and rounded least in m.
+            along = first.weight[:, :3] / particles.scene.support_radius
+            weight = torch.cat([along, first.weight[:, 3:]], dim=1)
+            layers = (weight, first.bias), (second.weight, second.bias)
+            return edge_mean(rows, neighbors, *layers)
         edges = edge_inputs(particles, neighbors, inputs)
         sent = self.edge(edges).to(edges.dtype)
         pooled: Tensor = segment_csr(sent, neighbors.offset, reduce="mean")
@@ -116,12 +126,16 @@ def edge_inputs(particles: Particles, neighbors: Neighbors, inputs: InputFeature
         neighbors: E edges.
         inputs: gives velocities their scale.
     """
+    sent = sent_by(particles, inputs).index_select(0, neighbors.neighbor)
+    return torch.cat([edge_offsets(particles, neighbors), sent], dim=1)
+
+
+def sent_by(particles: Particles, inputs: InputFeature) -> Tensor:
+    """[v_j, s_j] of each fluid and solid particle, (N + M, 4), the velocity scaled."""
     velocity = torch.cat([particles.velocity, particles.solid_velocity])
     marker = velocity.new_full((len(velocity), 1), SOLID)
     marker[: len(particles)] = FLUID
-    sent = torch.cat([inputs.scaled(velocity), marker], dim=1)
-    offset = edge_offsets(particles, neighbors)
-    return torch.cat([offset, sent.index_select(0, neighbors.neighbor)], dim=1)
+    return torch.cat([inputs.scaled(velocity), marker], dim=1)
 
 
 def edge_offsets(particles: Particles, neighbors: Neighbors) -> Tensor:
@@ -136,3 +150,12 @@ def edge_offsets(particles: Particles, neighbors: Neighbors) -> Tensor:
     there = position.index_select(0, neighbors.neighbor)
     here: Tensor = gather_csr(particles.position, neighbors.offset)
     return (there - here) / particles.scene.support_radius
+
+
+def _needs_torch(particles: Particles) -> bool:
+    """Whether the compiled path, which is for float32 on the CPU, lacks a gradient or a type."""
+    state = (particles.position, particles.velocity)
+    return particles.scene.support_radius == 0 or any(
+        values.requires_grad or values.device.type != "cpu" or values.dtype != torch.float32
+        for values in state
+    )

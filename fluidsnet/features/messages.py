@@ -70,4 +70,4 @@ class KernelMessages(LocalFeature):
             )
             message = segment_csr(weight * torch.tanh(edges), neighbors.offset, reduce="sum")
             feature = torch.tanh(update(torch.cat([feature, message], dim=1)))
-        return feature
+        return feature.to(own.dtype)

@@ -20,3 +20,12 @@ class PreciseLinear(nn.Linear):
         """The rows (N, outputs) of rows (N, inputs), as precise as the weights."""
         with torch.autocast(rows.device.type, enabled=False):
             return super().forward(rows.to(self.weight.dtype))
+
+
+def precise_on_cpu(values: Tensor) -> torch.autocast:
+    """A context without mixed precision on the CPU, for 3-D convolutions of these values.
+
+    There, with torch 2.13, those in bfloat16 gave their weights a gradient that is no number.
+    """
+    device = values.device.type
+    return torch.autocast(device, enabled=device != "cpu" and torch.is_autocast_enabled(device))

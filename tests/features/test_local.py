@@ -96,3 +96,23 @@ def test_inputs_are_normalized_by_the_scene(make_particles: Make) -> None:
     found = inputs(particles.moved(corners, torch.full((2, 3), 2.0, device=device)))
     expected = [[-1.0] * 3 + [0.5] * 3 + [0.0], [1.0] * 3 + [0.5] * 3 + [0.0]]
     assert torch.allclose(found, torch.tensor(expected, device=device))
+
+
+def test_the_compiled_gradients_are_torchs(make_particles: Make, device: torch.device) -> None:
+    # More than a chunk of particles, some of them alone.
+    particles = make_particles((700, 200), (30, 0), (1, 0))
+    neighbors = BruteForce(k=7)(particles)
+    inputs, local = InputFeature().to(device), NeighborMean(hidden=5, width=6).to(device)
+    weight = torch.randn(len(particles), 6, device=device)
+    found = local(particles, neighbors, inputs)
+    (found * weight).sum().backward()
+    gradients = [parameter.grad.clone() for parameter in local.parameters()]
+    local.zero_grad()
+    # Positions that want a gradient go through torch alone.
+    watched = particles.moved(particles.position.clone().requires_grad_(), particles.velocity)
+    expected = local(watched, neighbors, inputs)
+    (expected * weight).sum().backward()
+    assert watched.position.grad is not None
+    assert torch.allclose(found, expected, atol=2e-6)
+    for parameter, gradient in zip(local.parameters(), gradients, strict=True):
+        assert torch.allclose(gradient, parameter.grad, rtol=1e-4, atol=1e-4)
