@@ -1,5 +1,6 @@
 """Lightning callbacks, one behaviour a file."""
 
+from callbacks.compiled_network import CompiledNetwork as CompiledNetwork
 from callbacks.one_step_table import OneStepTable as OneStepTable
 from callbacks.rollout_picture import RolloutPicture as RolloutPicture
 from callbacks.rollout_progress import RolloutProgress as RolloutProgress

@@ -18,13 +18,25 @@ def write_table(path: Path, header: Sequence[str], rows: Sequence[Sequence[Cell]
         rows: as many cells each.
 
     Returns:
-        the Markdown, its columns aligned.
+        the Markdown.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.with_suffix(".csv").open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(header)
         writer.writerows(rows)
+    text = markdown(header, rows)
+    path.with_suffix(".md").write_text(text)
+    return text
+
+
+def markdown(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
+    """A Markdown table, its columns aligned.
+
+    Args:
+        header: a name a column, with its unit.
+        rows: as many cells each; numbers are cut to four digits.
+    """
     cells = [[_text(cell) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(header, *cells, strict=True)]
     lines = [
@@ -35,9 +47,7 @@ def write_table(path: Path, header: Sequence[str], rows: Sequence[Sequence[Cell]
             for row in cells
         ),
     ]
-    text = "\n".join(lines) + "\n"
-    path.with_suffix(".md").write_text(text)
-    return text
+    return "\n".join(lines) + "\n"
 
 
 def _line(cells: Sequence[str]) -> str:

@@ -24,6 +24,9 @@ experiments (LightningCLI; compose several --config, base first):
   test       measure a checkpoint on the test split, beside the trivial predictors
   predict    roll a checkpoint out on the test simulations and write it for ParaView
 
+studies:
+  speed      time a network's step beside the solver, against the number of particles
+
 test, validate and predict take a run's folder in place of its files:
   fluidsnet test --run runs/demo
 
@@ -44,6 +47,7 @@ def main(arguments: list[str] | None = None) -> None:
         "validate": _experiment,
         "test": _experiment,
         "predict": _experiment,
+        "speed": _speed,
     }
     if not arguments or arguments[0] in ("-h", "--help"):
         print(USAGE, end="")
@@ -75,6 +79,12 @@ def _inspect(arguments: list[str]) -> None:
     from datamodules.inspection import inspect_command
 
     inspect_command(arguments[1:])
+
+
+def _speed(arguments: list[str]) -> None:
+    from fluidsnet.studies.speed import speed_command
+
+    speed_command(arguments[1:])
 
 
 def _experiment(arguments: list[str]) -> None:

@@ -7,6 +7,7 @@ from typing import final
 
 import torch
 from torch import Tensor, nn
+from torch.profiler import record_function
 
 from fluidsnet.features.context import Context
 from fluidsnet.features.input import InputFeature
@@ -59,12 +60,21 @@ class Network(nn.Module):
         self.target.set_statistics(statistics)
 
     def forward(self, particles: Particles) -> Tensor:
-        """The head's output (N, target.width) for the fluid particles."""
+        """The head's output (N, target.width) for the fluid particles.
+
+        A profiler sees its stages as ranges: `search` and `local`, or where no edge is stored
+        `sort` and `search + local`; `voxel` and `global`, of the global vector; `head`.
+        """
         local = self.local.without_edges(particles, self.neighbors, self.inputs)
         if local is None:
-            local = self.local(particles, self.neighbors(particles), self.inputs)
+            with record_function("search"):
+                neighbors = self.neighbors(particles)
+            with record_function("local"):
+                local = self.local(particles, neighbors, self.inputs)
         features = torch.cat([self.inputs(particles), local], dim=1)
-        output: Tensor = self.head(features, self.context(particles, features))
+        context = self.context(particles, features)
+        with record_function("head"):
+            output: Tensor = self.head(features, context)
         return output
 
     def motion(self, particles: Particles) -> Motion:

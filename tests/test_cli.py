@@ -188,7 +188,7 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
         main(["nonsense"])
     assert end.value.code == 2
     error = capsys.readouterr().err
-    for word in ("generate", "inspect", "fit", "validate", "test", "predict"):
+    for word in ("generate", "inspect", "fit", "validate", "test", "predict", "speed"):
         assert f"\n  {word} " in USAGE
         assert word in error
 

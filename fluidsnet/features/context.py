@@ -8,8 +8,9 @@ from typing import final
 
 import torch
 from torch import Tensor, nn
+from torch.profiler import record_function
 
-from fluidsnet.features.voxel import GridShape, VoxelFeature, occupied_cells
+from fluidsnet.features.voxel import Cells, GridShape, VoxelFeature, occupied_cells
 from fluidsnet.particles import Particles
 
 
@@ -104,19 +105,26 @@ class GlobalVector(Context):
         self.register_buffer("empty", noise * self.empty_deviation, persistent=False)
 
     def forward(self, particles: Particles, features: Tensor) -> Tensor:
-        occupied = occupied_cells(particles, self.cells)
-        voxels = self.voxel(features, occupied)
-        grid = self._empty_grid(particles.frames)
-        # Cells first, channels last: one row a cell to write to.
-        grid = grid.index_copy(0, occupied.cell, voxels.to(grid.dtype))
-        volume = grid.view(particles.frames, *self.cells, -1).permute(0, 4, 1, 2, 3)
-        for convolution, kernel in zip(self.stack, kernels(self.cells), strict=True):
-            volume = torch.tanh(convolution(_padded(volume, kernel)))
-        vectors: Tensor = self.reduce(volume.flatten(1))
+        with record_function("voxel"):
+            occupied = occupied_cells(particles, self.cells)
+            voxels = self.voxel(features, occupied)
+        with record_function("global"):
+            vectors = self._reduced(particles.frames, occupied, voxels)
         if particles.frames == 1:
             # No copy for each particle.
             return vectors.expand(len(particles), -1)
         return vectors[particles.frame]
+
+    def _reduced(self, frames: int, occupied: Cells, voxels: Tensor) -> Tensor:
+        """One vector a frame, (F, width), from the features of the occupied cells."""
+        grid = self._empty_grid(frames)
+        # Cells first, channels last: one row a cell to write to.
+        grid = grid.index_copy(0, occupied.cell, voxels.to(grid.dtype))
+        volume = grid.view(frames, *self.cells, -1).permute(0, 4, 1, 2, 3)
+        for convolution, kernel in zip(self.stack, kernels(self.cells), strict=True):
+            volume = torch.tanh(convolution(_padded(volume, kernel)))
+        vectors: Tensor = self.reduce(volume.flatten(1))
+        return vectors
 
     def _empty_grid(self, frames: int) -> Tensor:
         if self.training:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -31,12 +33,32 @@ def as_array(values: Tensor) -> NDArray[np.float32]:
     return array
 
 
+_plain = False
+
+
+@contextmanager
+def plain_torch() -> Iterator[None]:
+    """Has every block take the path in plain torch that it is trained on, as on a GPU.
+
+    For who wants to know what the compiled loops change. Not for several threads at once.
+    """
+    global _plain
+    before, _plain = _plain, True
+    try:
+        yield
+    finally:
+        _plain = before
+
+
 def compiled_path_for(values: Tensor) -> bool:
     """Whether to take a path that has no backward pass and knows the CPU and float32 alone."""
     return (
-        not torch.is_grad_enabled()
+        not _plain
+        and not torch.is_grad_enabled()
         and values.device.type == "cpu"
         and values.dtype == torch.float32
+        # torch.compile cannot look into these loops; it makes its own of the plain operations.
+        and not torch.compiler.is_compiling()
     )
 
 

@@ -7,6 +7,7 @@ from typing import final
 
 import torch
 from torch import Tensor, nn
+from torch.profiler import record_function
 from torch_scatter import gather_csr, segment_csr
 
 from fluidsnet.features.dense import as_array, compiled_path_for, padded
@@ -82,7 +83,8 @@ class NeighborMean(LocalFeature):
     ) -> Tensor | None:
         if not compiled_path_for(particles.position):
             return None
-        cells = search.cells(particles)
+        with record_function("sort"):
+            cells = search.cells(particles)
         if cells is None:
             return None
         first, second = (layer for layer in self.edge if isinstance(layer, nn.Linear))
@@ -97,7 +99,8 @@ class NeighborMean(LocalFeature):
             weight=padded(second.weight),
             bias=as_array(second.bias),
         )
-        return neighbor_mean(particles, cells, layers, search.k)
+        with record_function("search + local"):
+            return neighbor_mean(particles, cells, layers, search.k)
 
 
 def edge_inputs(particles: Particles, neighbors: Neighbors, inputs: InputFeature) -> Tensor:

@@ -1,0 +1,1 @@
+"""Studies: they run models and write tables and figures."""

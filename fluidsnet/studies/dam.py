@@ -1,0 +1,150 @@
+"""The paper's dam break at any size: the domain grows, the particles do not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import final
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from datamodules.generate.dataset import Recipe
+from datamodules.generate.job import SolverName
+from datamodules.generate.scenes import CLEARANCE, DamBreak, Vector
+from datamodules.schema import COMPRESSION, Header, create_frames
+
+#: Edges of the paper's domain, m, and its particles' radius, m (section 5.1).
+DOMAIN: Vector = (6.0, 4.0, 6.0)
+RADIUS = 0.05
+#: Cells of its background grid (Table 1); a larger scene keeps them, and they grow.
+CELLS = (18, 12, 18)
+#: The column's share of the domain: the middle of what `DamBreak` draws. At the paper's own
+#: size these make 46,400 particles; the paper's scene has 46,430.
+SHARES = (0.45, 0.78, 0.92)
+
+
+@final
+@dataclass(frozen=True)
+class Dam:
+    """A dam break with about so many fluid particles.
+
+    Attributes:
+        layers: particles of the column along x, y and z.
+        domain: edges, m; the paper's, all times the same number.
+    """
+
+    layers: tuple[int, int, int]
+    domain: Vector
+
+    @classmethod
+    def of(cls, particles: int) -> Dam:
+        """The dam break whose column, of whole layers, is nearest to a number of particles."""
+        spacing = 2 * RADIUS
+        one = float(np.prod(np.array(SHARES) * np.array(DOMAIN))) / spacing**3
+        scale = max((particles / one) ** (1 / 3), 4 * spacing / min(DOMAIN))
+        edges = scale * np.array(DOMAIN)
+        ideal = np.array(SHARES) * edges / spacing
+        room = np.floor((edges - 2 * CLEARANCE * RADIUS) / spacing)
+        best: tuple[float, tuple[int, int, int]] | None = None
+        for x in _around(ideal[0], room[0]):
+            for y in _around(ideal[1], room[1]):
+                z = int(np.clip(round(particles / (x * y)), 1, room[2]))
+                # The nearest count, and of equally near ones the shape that is nearest.
+                bent = float(np.abs(np.log(np.array([x, y, z]) / ideal)).sum())
+                missed = abs(x * y * z - particles) + bent
+                if best is None or missed < best[0]:
+                    best = (missed, (x, y, z))
+        assert best is not None
+        width, height, depth = (float(edge) for edge in edges)
+        return cls(best[1], (width, height, depth))
+
+    @property
+    def particles(self) -> int:
+        """How many fluid particles there are."""
+        return self.layers[0] * self.layers[1] * self.layers[2]
+
+    def recipe(
+        self, solver: SolverName, frames: int, frame_interval: float, solver_step: float
+    ) -> Recipe:
+        """One simulation of it, its start and so many frames.
+
+        Args:
+            solver: of the pressure.
+            frames: after the start.
+            frame_interval: s between frames.
+            solver_step: s; fixed.
+
+        Raises:
+            UserError: the interval is no whole number of steps.
+        """
+        width, height, depth = (
+            2 * RADIUS * layers / edge
+            for layers, edge in zip(self.layers, self.domain, strict=True)
+        )
+        return Recipe(
+            scene=DamBreak(self.domain, (width, width), (height, height), (depth, depth)),
+            particle_radius=RADIUS,
+            train=1,
+            val=0,
+            test=0,
+            frames=frames + 1,
+            frame_interval=frame_interval,
+            solver=solver,
+            solver_step=solver_step,
+        )
+
+    def write_start(self, path: Path, frames: int, frame_interval: float) -> None:
+        """Writes a data file as the solver would, without one: the column at rest.
+
+        The walls are layers of particles a diameter apart; each frame is the start.
+        """
+        random = np.random.default_rng(0)
+        axes = [CLEARANCE * RADIUS + RADIUS * (2 * np.arange(layers) + 1) for layers in self.layers]
+        lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        # A tenth of a radius off the lattice: a particle has no two neighbors equally far.
+        lattice += random.uniform(-0.1, 0.1, lattice.shape) * RADIUS
+        with h5py.File(path, "w") as file:
+            self._header(frame_interval).write(file)
+            group = file.create_group("00000")
+            group.attrs["seed"], group.attrs["threads"] = "[0]", 1
+            group.attrs["scene_parameters"] = "[]"
+            position, velocity = create_frames(group, len(lattice))
+            for data, values in ((position, lattice), (velocity, np.zeros_like(lattice))):
+                data.resize(frames + 1, axis=0)
+                for frame in range(frames + 1):
+                    data[frame] = values.astype(np.float32)
+            group["time"] = frame_interval * np.arange(frames + 1)
+            group["solver_seconds"] = np.zeros(frames + 1)
+            group.create_dataset("solid_position", data=self._walls(), **COMPRESSION)
+
+    def _header(self, frame_interval: float) -> Header:
+        return Header(
+            scene="DamBreak",
+            solver="none",
+            solver_version="none",
+            solver_parameters={},
+            domain_lower=(0.0, 0.0, 0.0),
+            domain_upper=self.domain,
+            gravity=(0.0, -9.81, 0.0),
+            particle_radius=RADIUS,
+            support_radius=4 * RADIUS,
+            dt=frame_interval,
+            density0=1000.0,
+            viscosity=0.0,
+        )
+
+    def _walls(self) -> NDArray[np.float32]:
+        sides = []
+        for axis, edge in enumerate(self.domain):
+            across = [np.arange(0, self.domain[other], 2 * RADIUS) for other in range(3)]
+            across[axis] = np.array([0.0, edge])
+            sides.append(np.stack(np.meshgrid(*across, indexing="ij"), axis=-1).reshape(-1, 3))
+        return np.concatenate(sides).astype(np.float32)
+
+
+def _around(ideal: float, most: float) -> range:
+    """Whole numbers about as large, none above the most."""
+    middle, reach = round(ideal), max(2, round(0.08 * ideal))
+    return range(max(1, middle - reach), max(1, min(middle + reach, int(most))) + 1)

@@ -1,0 +1,269 @@
+"""One run of the speed study: size by size, way by way."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field, replace
+from datetime import datetime
+from pathlib import Path
+from statistics import median
+from typing import Any, NoReturn
+
+import h5py
+from tqdm import tqdm
+
+from datamodules.generate.dataset import generate
+from fluidsnet.errors import UserError
+from fluidsnet.studies.cores import floor
+from fluidsnet.studies.dam import Dam
+from fluidsnet.studies.machine import BUSY, OtherLoad, cpu_model, device_name, versions
+from fluidsnet.studies.model import load_model
+from fluidsnet.studies.paper_tables import BATCHES
+from fluidsnet.studies.speed_figure import draw
+from fluidsnet.studies.speed_report import Batch, Report
+from fluidsnet.studies.speed_row import Row, spread
+from fluidsnet.studies.trial import Result, Trial
+
+
+@dataclass
+class Run:
+    """Measures all that `SpeedOptions` asks for; the attributes are its, and one more.
+
+    Attributes:
+        work: folder for the solver's files, which are removed after each size.
+        report: what was measured so far.
+    """
+
+    particles: list[int]
+    threads: int
+    repeats: int
+    neighbors: list[str]
+    precision: list[Any]
+    compile: bool
+    solvers: list[Any]
+    frames: int
+    time_step: float
+    solver_step: float
+    batch: int
+    model: str | None
+    run: str | None
+    device: str
+    seconds: float
+    output: str
+    work: Path
+    report: Report = field(default_factory=Report)
+
+    def __post_init__(self) -> None:
+        self.solvers = [solver for solver in self.solvers if solver != "none"]
+        self._before: dict[str, Row] = {}
+        # Found out now, and not after the solver has run.
+        self._network = load_model(self.model, self.run, "Auto", self.time_step).network
+
+    def measure(self) -> None:
+        """Measures, and writes tables and figure after each measurement."""
+        self.report.header = self._header()
+        sizes = sorted(self.particles)
+        scenes = [particles for _, particles, *_ in BATCHES] if self.batch else []
+        each = 1 + len(self.solvers) + len(list(self._ways()))
+        with tqdm(total=1 + each * len(sizes) + 2 * len(scenes), unit="measurement") as bar:
+            bar.set_description("what the cores can do")
+            self.report.cores = self._network_process(Trial("cores", threads=self.threads)).cores
+            bar.update()
+            for size in sizes:
+                self._size(Dam.of(size), bar)
+            for size in scenes:
+                self._batch(Dam.of(size), bar)
+        self._write()
+
+    def _ways(self) -> Iterator[tuple[str, Any, bool]]:
+        for neighbors in self.neighbors:
+            for precision in self.precision:
+                yield neighbors, precision, False
+            if self.compile:
+                yield neighbors, "float32", True
+
+    def _size(self, dam: Dam, bar: tqdm[NoReturn]) -> None:
+        rows, states = self._solve(dam, self.frames, self.solvers, bar)
+        reference = self.work / "reference.npy"
+        base = self._trial(states, kind="reference", reference=str(reference))
+        bar.set_description(f"{dam.particles:,} particles, reference")
+        failed = self._network_process(replace(base, neighbors="CellListCPU")).failure
+        if failed:
+            tqdm.write(f"{dam.particles:,} particles: no errors, since the reference: {failed}")
+        bar.update()
+        for neighbors, precision, compiled in self._ways():
+            row = Row(dam.particles, 0, "network", neighbors, precision, compiled, self.time_step)
+            bar.set_description(f"{dam.particles:,} particles, {row.way}")
+            trial = replace(
+                base, kind="step", neighbors=neighbors, precision=precision, compile=compiled
+            )
+            self._step(row, trial)
+            self._before[row.way] = row
+            rows.append(row)
+            self.report.rows.append(row)
+            self._write()
+            bar.update()
+        known = next((row for row in rows if row.edges is not None), None)
+        first = next((row for row in rows if row.who == "network" and row.step), None)
+        if known is not None and known.edges is not None and first is not None and first.step:
+            least = floor(self._network, dam.particles, known.edges)
+            if least is not None:
+                self.report.floors[dam.particles] = {**least, "step": first.step[0]}
+        self._write()
+        reference.unlink(missing_ok=True)
+        states.unlink()
+
+    def _step(self, row: Row, trial: Trial) -> None:
+        """Fills in the row of a way, or its note where it would take too long."""
+        before = self._before.get(row.way)
+        if before is not None:
+            slowest = max(
+                [values[0] for values in (before.step, before.search) if values], default=0.0
+            )
+            expected = slowest * (row.particles / before.particles) ** 1.2
+            # A step to see the memory, one to time, three to profile.
+            if not before.step or 5 * expected > self.seconds:
+                row.note = f"skipped: beyond {self.seconds:g} s"
+                return
+        with OtherLoad() as load:
+            result = self._network_process(trial)
+        row.others, row.note = load.cores, result.failure
+        row.solids, row.peak, row.error = result.solids, result.peak, result.error
+        row.stages, row.edges = result.stages, result.edges
+        row.step = spread(result.step) if result.step else None
+        row.search = spread(result.search) if result.search else None
+        self._check(row)
+
+    def _solve(
+        self, dam: Dam, frames: int, solvers: list[Any], bar: tqdm[NoReturn]
+    ) -> tuple[list[Row], Path]:
+        """The solvers' rows, and the file of the first that did not fail."""
+        rows = []
+        states = self.work / f"{dam.particles}.h5"
+        for solver in solvers:
+            bar.set_description(f"{dam.particles:,} particles, {solver}")
+            row = Row(dam.particles, 0, solver, time_step=self.time_step)
+            root = self.work / f"{solver}-{dam.particles}"
+            try:
+                recipe = dam.recipe(solver, frames, self.time_step, self.solver_step)
+                with OtherLoad() as load:
+                    generate(recipe, root, processes=1, threads=self.threads)
+                row.others = load.cores
+                with h5py.File(root / "train.h5") as file:
+                    group = next(iter(file.values()))
+                    row.step = spread(group["solver_seconds"][1:].tolist())
+                    row.solids = len(group["solid_position"])
+                if not states.exists():
+                    (root / "train.h5").rename(states)
+            except UserError as error:
+                row.note = f"failed: {error}"
+                tqdm.write(f"{dam.particles:,} particles, {solver}: {error}")
+            for left in root.glob("*"):
+                left.unlink()
+            self._check(row)
+            rows.append(row)
+            self.report.rows.append(row)
+            self._write()
+            bar.update()
+        if not states.exists():
+            dam.write_start(states, frames, self.time_step)
+        return rows, states
+
+    def _batch(self, dam: Dam, bar: tqdm[NoReturn]) -> None:
+        """Many frames at once; the solver's rows are not of the main table."""
+        rows = list(self.report.rows)
+        solvers = [solver for solver in self.solvers if solver == "IISPH"]
+        made, states = self._solve(dam, max(self.frames, self.batch), solvers, bar)
+        self.report.rows = rows
+        bar.set_description(f"{dam.particles:,} particles, {self.batch} frames at once")
+        bar.update(2 - len(made))
+        result = self._network_process(
+            self._trial(states, kind="batch", neighbors=self.neighbors[0], batch=self.batch)
+        )
+        states.unlink()
+        if not result.step:
+            tqdm.write(f"{dam.particles:,} particles, {self.batch} at once: {result.failure}")
+            return
+        solver = median([row.step[0] for row in made if row.step]) if made else None
+        self.report.batches.append(
+            Batch(
+                dam.particles, self.batch, spread(result.step), result.batches,
+                result.peak or 0, solver,
+            )
+        )  # fmt: skip
+        self._write()
+
+    def _trial(self, states: Path, **more: Any) -> Trial:
+        return Trial(
+            states=str(states),
+            model=self.model,
+            run=self.run,
+            device=self.device,
+            threads=self.threads,
+            repeats=self.repeats,
+            seconds=self.seconds,
+            **more,
+        )
+
+    def _network_process(self, trial: Trial) -> Result:
+        task, answer = self.work / "trial.json", self.work / "result.json"
+        answer.unlink(missing_ok=True)
+        task.write_text(json.dumps(asdict(trial)))
+        environment = {**os.environ, "OMP_NUM_THREADS": str(trial.threads)}
+        log = self.work / "trial.log"
+        with log.open("wb") as words:
+            try:
+                ended = subprocess.run(
+                    [sys.executable, "-m", "fluidsnet.studies.trial", str(task), str(answer)],
+                    stdout=words,
+                    stderr=subprocess.STDOUT,
+                    stdin=subprocess.DEVNULL,
+                    env=environment,
+                    # What goes wrong beyond all expectation; a minute is for the start.
+                    timeout=3 * trial.seconds + 120,
+                    check=False,
+                )
+            except subprocess.TimeoutExpired:
+                return Result(failure=f"skipped: beyond {trial.seconds:g} s")
+        if ended.returncode < 0:
+            return Result(failure=f"killed by signal {-ended.returncode}, as for lack of memory")
+        if not answer.exists():
+            last = log.read_text(errors="replace").strip().splitlines()[-1:] or ["no words"]
+            return Result(failure=f"failed: {last[0]}")
+        return Result(**json.loads(answer.read_text()))
+
+    def _header(self) -> list[str]:
+        what = self.run or self.model or "the paper's network"
+        weights = "trained" if self.run else "random"
+        return [
+            f"{datetime.now():%Y-%m-%d}, {cpu_model()}, {self.threads} threads each for network "
+            f"and solver; network on {device_name(self.device)}",
+            versions(),
+            f"network: {what}, {weights} weights, k = {self._network.neighbors.k}, "
+            f"{1000 * self.time_step:g} ms a step, all copies and the search included",
+            f"solver: fixed steps of {1000 * self.solver_step:g} ms, "
+            f"{self.frames} frames of {1000 * self.time_step:g} ms each",
+            "state: the last frame of the first solver, walls included; without a solver the "
+            "column at rest",
+        ]
+
+    def _check(self, row: Row) -> None:
+        if row.others > BUSY:
+            self._warn(
+                f"the machine was busy: {row.others:.1f} cores were taken by others during "
+                f"{row.particles:,} particles, {row.way}; do not trust its times."
+            )
+
+    def _warn(self, words: str) -> None:
+        self.report.warnings.append(words)
+        tqdm.write(f"WARNING: {words}", file=sys.stderr)
+
+    def _write(self) -> None:
+        folder = Path(self.output)
+        self.report.write(folder)
+        if any(row.step for row in self.report.rows):
+            draw(self.report.rows, folder / "speed.png")

@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+import csv
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datamodules.reader import FrameReader
+from fluidsnet.main import main
+from fluidsnet.network import Network
+from fluidsnet.studies.cores import floor
+from fluidsnet.studies.dam import Dam
+from fluidsnet.studies.model import load_model
+from fluidsnet.studies.speed_report import Report
+from fluidsnet.studies.speed_row import Row
+from fluidsnet.studies.trial import Trial, measure
+
+MODELS = Path(__file__).parents[2] / "configs" / "model"
+
+needs_solver = pytest.mark.skipif(
+    importlib.util.find_spec("pysplishsplash") is None, reason="pysplishsplash is not installed"
+)
+
+
+def _table(folder: Path) -> list[dict[str, str]]:
+    with (folder / "speed.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+@needs_solver
+def test_a_tiny_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--particles=[1000]", "--repeats=2", "--frames=2", "--batch=0", "--threads=1"]
+    ways = ["--solvers=[IISPH]", "--neighbors=[Auto]"]
+    main(["speed", *words, *ways, f"--output={tmp_path}"])
+    rows = _table(tmp_path)
+    methods = [(row["method"], row["precision"]) for row in rows]
+    assert methods == [("IISPH", ""), ("network", "float32")]
+    assert {row["note"] for row in rows} == {""}
+    iisph, exact = rows
+    for row in rows:
+        step = float(row["step s"])
+        assert 0 < float(row["step least s"]) <= step <= float(row["step most s"])
+        assert float(row["s per simulated s"]) == pytest.approx(step / 0.02)
+        assert float(row["particles per s"]) == pytest.approx(1008 / step)
+        assert float(row["speed-up"]) == pytest.approx(float(iisph["step s"]) / step)
+    assert float(exact["error"]) < 1e-5
+    assert 10 < float(exact["neighbors per particle"]) < 32
+    assert float(exact["search + local s"]) > 0 and float(exact["sort s"]) > 0
+    assert float(exact["peak bytes"]) > 0
+    text = (tmp_path / "speed.md").read_text()
+    assert text in capsys.readouterr().out
+    assert "1 threads" in text and "torch-cluster" in text and "50.51" in text
+    assert (tmp_path / "speed.png").stat().st_size > 10_000
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {"speed.csv", "speed.md", "speed.png"}
+
+
+@pytest.mark.parametrize("count", [1000, 4000, 30000, 125000, 300000, 618043, 2000000])
+def test_a_dam_of_any_size(count: int) -> None:
+    dam = Dam.of(count)
+    assert dam.particles == pytest.approx(count, rel=0.01)
+    assert np.allclose(np.array(dam.domain) / dam.domain[0], [1, 4 / 6, 1])
+    recipe = dam.recipe("IISPH", 2, 0.02, 0.004)
+    (block,) = recipe.starts()["train", 0]
+    lower, upper = block.bounds()
+    assert np.array_equal(np.rint((upper - lower) / 0.1), dam.layers)
+
+
+def test_the_papers_own_scene_has_the_papers_domain() -> None:
+    assert Dam.of(46430).domain == pytest.approx((6.0, 4.0, 6.0), rel=1e-3)
+
+
+def test_the_start_without_a_solver(tmp_path: Path) -> None:
+    dam = Dam.of(1000)
+    dam.write_start(tmp_path / "start.h5", 2, 0.02)
+    reader = FrameReader(tmp_path / "start.h5")
+    state = reader.state("00000", 2, reader.scene(1))
+    assert len(state) == dam.particles
+    assert (state.position > 0).all() and (state.position < state.scene.domain_upper).all()
+    common = {"states": str(tmp_path / "start.h5"), "repeats": 1}
+    reference = str(tmp_path / "reference.npy")
+    assert measure(Trial("reference", reference=reference, **common)).failure == ""
+    for neighbors in ("CellList", "TorchCluster"):
+        found = measure(Trial("step", neighbors=neighbors, reference=reference, **common))
+        assert found.error is not None and found.error < 1e-5
+        assert set(found.stages) == {"search", "local", "voxel", "global", "head"}
+    half = measure(Trial("step", precision="bfloat16", reference=reference, **common))
+    assert half.error is not None and 0 < half.error < 0.1
+    many = measure(Trial("batch", batch=2, **common))
+    assert sum(many.batches) == 2
+
+
+def test_any_model(tmp_path: Path) -> None:
+    for path in sorted(MODELS.glob("*.yaml")):
+        module = load_model(str(path), None, "CellList", 0.02)
+        assert not module.training
+        assert type(module.network.neighbors).__name__ == "CellList"
+        assert isinstance(module.network, Network)
+    paper = load_model(None, None, "Auto", 0.02).network
+    known = {name: value.shape for name, value in paper.state_dict().items()}
+    written = load_model(str(MODELS / "paper.yaml"), None, "Auto", 0.02).network
+    assert {name: value.shape for name, value in written.state_dict().items()} == known
+    assert floor(load_model(str(MODELS / "field.yaml"), None, "Auto", 0.02).network, 9, 9.0) is None
+
+
+def test_the_floor_counts_the_papers_layers() -> None:
+    found = floor(load_model(None, None, "Auto", 0.02).network, 1, 30.0)
+    assert found is not None
+    # By hand: Table 1's layers, 16 operations a tanh, the mean of nine numbers.
+    edge = 7 + 16 * 7 + 2 * 7 * 9 + 16 * 9 + 9
+    voxel = 16 * (2 * 16 + 17) + 32 * (2 * 16 + 17) + 64 * (2 * 32 + 17)
+    head = 32 * (2 * 16 + 16) + 16 * (2 * 32 + 16) + 8 * (2 * 16 + 16) + 3 * (2 * 8)
+    assert found["operations"] == 30 * edge + 2 * 7 * 7 + voxel + head
+    assert found["bytes"] == 48 + 2 * 64
+
+
+def test_what_was_skipped_says_so(tmp_path: Path) -> None:
+    report = Report(rows=[Row(1000, 0, "network", "TorchCluster", "float32", note="skipped: why")])
+    assert "skipped: why" in report.write(tmp_path)
+    (row,) = _table(tmp_path)
+    assert row["note"] == "skipped: why" and row["step s"] == "" == row["speed-up"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--particles=[10]"], "from 100 on"),
+        (["--particles=many"], "particles"),
+        (["--neighbors=[Nearest]"], "neighbors"),
+        (["--threads=4000"], "cores"),
+        (["--repeats=0"], "above zero"),
+        (["--solver_step=0.003"], "whole number"),
+        (["--run=/nowhere"], "/nowhere is not the folder of a run"),
+        (["--model=/nowhere.yaml"], "holds no `model:`"),
+        (["--device=toaster"], "toaster"),
+        (["--sise=3"], "sise"),
+    ],
+)
+def test_bad_input_is_one_sentence(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["speed", *arguments, "--solvers=[none]", f"--output={tmp_path / 'speed'}"])
+    assert end.value.code == 1
+    said = capsys.readouterr().err
+    assert words in said and "Traceback" not in said
+    assert not (tmp_path / "speed").exists()

@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+import torch
+
+from fluidsnet.batched import BatchedPrediction
+from fluidsnet.features import GlobalVector, NeighborMean
+from fluidsnet.memory import PeakMemory, free_bytes
+from fluidsnet.neighbors import Auto
+from fluidsnet.network import Network
+from fluidsnet.particles import Particles
+from fluidsnet.target import DisplacementTarget, Target, VelocityTarget
+
+Make = Callable[..., Particles]
+
+COUNTS = [(900, 300), (1, 0), (1200, 300), (0, 50), (700, 300), (800, 0), (900, 300)]
+
+
+def _network(device: torch.device, target: Target) -> Network:
+    torch.manual_seed(0)
+    return Network((6, 4, 6), Auto(), NeighborMean(), GlobalVector, target).to(device).eval()
+
+
+@pytest.mark.parametrize("memory", [None, 0, 10**12])
+def test_together_they_move_as_alone(
+    memory: int | None, make_particles: Make, device: torch.device
+) -> None:
+    network = _network(device, DisplacementTarget())
+    states = [make_particles(count, seed=seed) for seed, count in enumerate(COUNTS)]
+    predict = BatchedPrediction(network, device, memory)
+    found = list(predict(iter(states)))
+    assert sum(predict.batches) == len(states)
+    if memory == 0:
+        assert predict.batches == [1] * len(states)
+    if memory == 10**12:
+        assert predict.batches == [1, len(states) - 1]
+    for state, motion in zip(states, found, strict=True):
+        with torch.no_grad():
+            alone = network.motion(state)
+        assert alone.displacement is not None and motion.displacement is not None
+        assert torch.allclose(motion.velocity, alone.velocity, atol=1e-5)
+        assert torch.allclose(motion.displacement, alone.displacement, atol=1e-5)
+
+
+def test_batches_keep_within_what_was_measured(make_particles: Make, device: torch.device) -> None:
+    states = [make_particles((2000, 500), seed=seed) for seed in range(7)]
+    predict = BatchedPrediction(_network(device, VelocityTarget()), device, 10**12)
+    list(predict(states))
+    # Room for three frames and a half.
+    predict.bytes_per_particle = max(predict.bytes_per_particle, 1.0)
+    predict.memory = int(3.5 * 2500 * predict.bytes_per_particle)
+    motions = predict(states)
+    next(motions)
+    assert predict.batches == [3]
+
+
+def test_states_are_read_as_they_are_needed(make_particles: Make, device: torch.device) -> None:
+    read = []
+
+    def states() -> Iterator[Particles]:
+        for number in range(4):
+            read.append(number)
+            yield make_particles((50, 10))
+
+    predict = BatchedPrediction(_network(device, VelocityTarget()), device, 0)
+    next(predict(states()))
+    assert read == [0, 1]
+    assert torch.is_grad_enabled()
+
+
+def test_other_scenes_do_not_go_together(make_particles: Make, device: torch.device) -> None:
+    from dataclasses import replace
+
+    states = [make_particles((50, 10)) for _ in range(3)]
+    states[2] = replace(states[2], scene=replace(states[2].scene, support_radius=0.1))
+    predict = BatchedPrediction(_network(device, VelocityTarget()), device, 10**12)
+    list(predict(states))
+    assert predict.batches == [1, 1, 1]
+    list(predict(states))
+    assert predict.batches == [2, 1]
+
+
+def test_the_peak_is_what_was_taken_at_once(device: torch.device) -> None:
+    with PeakMemory(device) as peak:
+        for _ in range(3):
+            torch.ones(2**24, device=device)
+    assert 0.9 * 2**26 < peak.bytes < 1.5 * 2**26
+    assert free_bytes(device) > 2**26
