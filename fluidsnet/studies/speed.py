@@ -71,6 +71,12 @@ class SpeedOptions:
         for name in ("repeats", "frames", "time_step", "solver_step", "seconds"):
             if not getattr(self, name) > 0:
                 raise UserError(f"--{name} is {getattr(self, name)}; it must be above zero.")
+        ratio = self.time_step / self.solver_step
+        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
+            raise UserError(
+                f"--time_step ({self.time_step} s) must be a whole number of solver steps "
+                f"(--solver_step {self.solver_step} s)."
+            )
         if not self.particles or min(self.particles) < 100:
             raise UserError("--particles takes numbers from 100 on, such as [1000,30000].")
         if self.threads is not None and not 1 <= self.threads <= cores():
