@@ -18,10 +18,10 @@ help: ## list these tasks
 	@echo 'make setup TORCH="torch==2.9.1 --index-url …" installs that torch in .venv'
 
 setup: ## install FluidsNet and what it needs into .venv; once, 8 to 16 minutes on two cores
-	@$(PYTHON) tools/install.py
+	@$(PYTHON) -m tools.install
 
-demo: setup ## show what FluidsNet does, on the sample that comes with it
-	$(IN_VENV) tools/demo.py
+demo: setup ## simulate, train, test and roll out a small dam break; some five minutes
+	$(IN_VENV) -m tools.demo
 
 lint: setup ## check style and types
 	$(IN_VENV) -m ruff check $(PACKAGES) tests

@@ -1,4 +1,4 @@
-"""Lightning callbacks, one behaviour a file."""
+"""Lightning callbacks, one behavior a file."""
 
 from callbacks.compiled_network import CompiledNetwork as CompiledNetwork
 from callbacks.one_step_table import OneStepTable as OneStepTable

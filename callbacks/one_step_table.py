@@ -19,6 +19,10 @@ class OneStepTable(Callback):
     _columns = ("skill", "velocity_mse", "position_error_1_mm")
     _header = ("one step ahead", "skill", "velocity_mse m²/s²", "position_error_1 mm")
 
+    def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
+        """Learns the run's folder."""
+        self._folder = run_folder(trainer)
+
     def on_test_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Writes and prints the table."""
         if not trainer.is_global_zero:
@@ -33,5 +37,5 @@ class OneStepTable(Callback):
             ]
             for predictor in PREDICTORS
         ]
-        path = run_folder(trainer) / "one_step"
+        path = self._folder / "one_step"
         print(f"\n{write_table(path, self._header, rows)}\n{path}.md")

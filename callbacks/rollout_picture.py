@@ -19,7 +19,7 @@ from fluidsnet.rollout import RolloutObserver
 class RolloutPicture(Callback, RolloutObserver):
     """After ``predict``, draws the first rollout beside its truth as ``rollout.png``.
 
-    Particles are coloured by their speed, from blue to white (paper, figure 12). The picture
+    Particles are colored by their speed, from blue to white (paper, figure 12). The picture
     also goes to TensorBoard. It reads the files of `TrajectoryWriter`, which must come before it.
 
     Args:
@@ -32,6 +32,10 @@ class RolloutPicture(Callback, RolloutObserver):
         self.times = times
         self._first: RolloutStart | None = None
 
+    def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
+        """Learns the run's folder."""
+        self._folder = run_folder(trainer)
+
     def on_predict_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Forgets earlier rollouts."""
         self._first = None
@@ -42,7 +46,8 @@ class RolloutPicture(Callback, RolloutObserver):
 
     def on_predict_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Draws the picture."""
-        if self._first is None:
+        # Of several processes, the one whose rollouts have the first among them.
+        if self._first is None or not trainer.is_global_zero:
             return
         start, scene = self._first, self._first.state.scene
         last = min(start.steps, len(start.truth) - 1)
@@ -50,12 +55,12 @@ class RolloutPicture(Callback, RolloutObserver):
         for step in (round(share * last) for share in self.times):
             when = f"{step * scene.time_step:.2f} s"
             true_position, true_velocity = (value.numpy() for value in start.truth[step])
-            position, data = read_frame(rollout_file(trainer, start.name), step)
+            position, data = read_frame(rollout_file(self._folder, start.name), step)
             panels += [
                 Panel(f"truth, {when}", true_position, _speed(true_velocity)),
                 Panel(f"FluidsNet, {when}", position, _speed(data["velocity"])),
             ]
-        path = run_folder(trainer) / "rollout.png"
+        path = self._folder / "rollout.png"
         side_by_side(
             path,
             panels,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from lightning import Callback, LightningModule, Trainer
+from torch import distributed
 
 from callbacks.folder import rollout_file, run_folder
 from callbacks.table import Cell, write_table
@@ -39,6 +40,10 @@ class RolloutTable(Callback, RolloutObserver):
     def __init__(self) -> None:
         self._names: list[str] = []
 
+    def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
+        """Learns the run's folder."""
+        self._folder = run_folder(trainer)
+
     def on_predict_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Forgets earlier rollouts."""
         self._names = []
@@ -49,7 +54,10 @@ class RolloutTable(Callback, RolloutObserver):
 
     def on_predict_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Writes and prints the table."""
-        columns = [read_field_data(rollout_file(trainer, name)) for name in self._names]
+        names = _of_all_processes(self._names)
+        if not trainer.is_global_zero:
+            return
+        columns = [read_field_data(rollout_file(self._folder, name)) for name in names]
         longest = max((_compared(column) for column in columns), default=0)
         rows: list[list[Cell]] = []
         for step in sorted({*STEPS, longest}):
@@ -62,8 +70,17 @@ class RolloutTable(Callback, RolloutObserver):
             ]
             time = float(there[0]["time"][step])
             rows.append([step, time, len(there), *means[:-1], 100 * means[-1]])
-        path = run_folder(trainer) / "rollout"
+        path = self._folder / "rollout"
         print(f"\n{write_table(path, self._header, rows)}\n{path}.md")
+
+
+def _of_all_processes(names: list[str]) -> list[str]:
+    """The names that each process has, in order; their files are then written."""
+    if not (distributed.is_available() and distributed.is_initialized()):
+        return names
+    gathered: list[list[str]] = [[] for _ in range(distributed.get_world_size())]
+    distributed.all_gather_object(gathered, names)
+    return sorted(name for names in gathered for name in names)
 
 
 def _compared(column: dict[str, np.ndarray]) -> int:

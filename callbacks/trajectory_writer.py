@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from lightning import Callback, LightningModule, Trainer
 
-from callbacks.folder import rollout_file
+from callbacks.folder import rollout_file, run_folder
 from fluidsnet.errors import UserError
 from fluidsnet.export.vtkhdf import TrajectoryFile
 from fluidsnet.metrics.position_error import distance_mm
@@ -25,18 +25,18 @@ class TrajectoryWriter(Callback, RolloutObserver):
     """
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        """Remembers who rolls out.
+        """Remembers who rolls out, and where its files go.
 
         Raises:
             UserError: the module is not a FluidsNet.
         """
         if not isinstance(pl_module, FluidsNet):
             raise UserError("TrajectoryWriter writes rollouts of FluidsNet alone.")
-        self._trainer, self._module = trainer, pl_module
+        self._folder, self._module = run_folder(trainer), pl_module
 
     def on_rollout_start(self, start: RolloutStart) -> None:
         """Opens the file and writes the first state."""
-        path = rollout_file(self._trainer, start.name)
+        path = rollout_file(self._folder, start.name)
         path.parent.mkdir(parents=True, exist_ok=True)
         self._errors = RolloutErrors(start.state, self._module.integrator)
         self._file = TrajectoryFile(path, particles=len(start.state))

@@ -10,10 +10,19 @@ from torch import Tensor
 
 from fluidsnet.errors import UserError
 from fluidsnet.particles import Particles, Transitions
+from fluidsnet.scene import Scene
 
 
 class Augmentation(ABC):
     """Changes a training sample into another one that is as true."""
+
+    @abstractmethod
+    def check(self, scene: Scene) -> None:
+        """Called once before training starts.
+
+        Raises:
+            UserError: a changed sample would not be true in this scene.
+        """
 
     @abstractmethod
     def __call__(self, sample: Transitions) -> Transitions:
@@ -29,16 +38,21 @@ class BoxSymmetry(Augmentation):
     as wide as it is deep.
 
     Raises:
-        UserError: when called, where gravity is not along one axis.
+        UserError: from `check` and when called, where gravity is not along one axis.
     """
+
+    def check(self, scene: Scene) -> None:
+        if int((scene.gravity.abs() > 0).sum()) != 1:
+            gravity = ", ".join(f"{component:g}" for component in scene.gravity.tolist())
+            raise UserError(
+                "The augmentation BoxSymmetry needs gravity along one axis, and here it is "
+                f"({gravity}) m/s²; leave out data.augmentation."
+            )
 
     def __call__(self, sample: Transitions) -> Transitions:
         scene = sample.state.scene
+        self.check(scene)
         along = scene.gravity.abs() > 0
-        if int(along.sum()) != 1:
-            raise UserError(
-                "The augmentation BoxSymmetry needs gravity along one axis; leave it out."
-            )
         first, second = (axis for axis in range(3) if not bool(along[axis]))
         draws = torch.rand(3, device=scene.gravity.device) < 0.5
         axes = [0, 1, 2]
@@ -69,4 +83,5 @@ class BoxSymmetry(Augmentation):
             ),
             next_position=place(sample.next_position),
             next_velocity=turn(sample.next_velocity),
+            simulation=sample.simulation,
         )

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from datamodules.schema import Header, open_valid, simulations
+from datamodules.schema import DAMAGE, Header, open_valid, simulations
 from fluidsnet.errors import UserError
 
 
@@ -25,8 +25,8 @@ class SimulationReport:
         fluid, solid: number of particles.
         lower, upper: corners of the box around the fluid over all frames, m.
         fastest: greatest speed, m/s.
-        solver_seconds: the solver's wall time for all frames, s.
-        threads: that the solver had.
+        solver_seconds: the solver's wall time for all steps, s.
+        threads: that the solver had, as the file says, or a question mark.
         suspicions: sentences, one for each thing that looks wrong.
     """
 
@@ -38,7 +38,7 @@ class SimulationReport:
     upper: NDArray[np.float64]
     fastest: float
     solver_seconds: float
-    threads: int
+    threads: str
     suspicions: list[str]
 
 
@@ -97,7 +97,7 @@ def inspect_simulation(group: h5py.Group, header: Header) -> SimulationReport:
         upper=upper,
         fastest=fastest,
         solver_seconds=float(group["solver_seconds"][()].sum()),
-        threads=int(group.attrs.get("threads", 1)),
+        threads=str(group.attrs.get("threads", "?")),
         suspicions=suspicions,
     )
 
@@ -115,7 +115,7 @@ def describe(path: Path) -> str:
         header = Header.read(file)
         try:
             reports = [inspect_simulation(file[name], header) for name in simulations(file)]
-        except OSError as error:
+        except DAMAGE as error:
             raise UserError(
                 f"{path}: a frame cannot be read; the file is damaged ({error})."
             ) from error

@@ -11,7 +11,7 @@ import h5py
 import torch
 from torch import Tensor
 
-from datamodules.schema import Header, simulations, validate
+from datamodules.schema import DAMAGE, Header, simulations, validate
 from fluidsnet.errors import UserError
 from fluidsnet.particles import Particles
 from fluidsnet.scene import Scene
@@ -86,7 +86,7 @@ class FrameReader:
     def _read(self, name: str, index: int | tuple[()], what: str) -> Tensor:
         try:
             return torch.from_numpy(self._file()[name][index]).float()
-        except (OSError, KeyError, RuntimeError) as error:  # h5py raises any of them
+        except DAMAGE as error:
             raise UserError(
                 f"{self.path}: {what} cannot be read; the file is damaged or gone ({error})."
             ) from error

@@ -6,10 +6,10 @@ One file holds one split of a data set, one group of it one simulation::
     /00000/position  (T, N, 3) float32, m        one frame a chunk
     /00000/velocity  (T, N, 3) float32, m/s      one frame a chunk
     /00000/time      (T,) float64, s
-    /00000/solver_seconds  (T,) float64, s       the solver's wall time for the frame
+    /00000/solver_seconds  (T,) float64, s       the solver's wall time for a frame's steps
     /00000/solid_position  (M, 3) float32, m     (T, M, 3) where solids move
     /00000/solid_velocity  (T, M, 3) float32, m/s  only where solids move
-    /00000/          attributes: seed, scene_parameters (JSON), threads
+    /00000/          attributes, none of them needed: seed, scene_parameters (JSON), threads
 
 Row i is the same particle in every frame.
 """
@@ -28,8 +28,16 @@ from fluidsnet.errors import UserError
 
 SCHEMA_VERSION = 1
 
-#: Every h5py reads these; level 1 costs a fifth of the time of level 4 for 2 % more bytes.
+#: A data set has a file of each.
+SPLITS = ("train", "val", "test")
+
+#: Every h5py reads these. A frame of a dam break of 4,900 particles takes 1.8 ms to write and
+#: keeps 76 % of its bytes; at level 4 1.9 ms and 75 %, at 9 3.0 ms and 75 %, with lzf 0.7 ms
+#: and 81 % (median of 13 frames 50 ms apart, three times, each written to memory on one core).
 COMPRESSION: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+
+#: What h5py raises for a file that is damaged.
+DAMAGE = (OSError, KeyError, RuntimeError)
 
 _VECTORS = ("domain_lower", "domain_upper", "gravity")
 _FLOATS = ("particle_radius", "support_radius", "dt", "density0", "viscosity")
@@ -154,7 +162,7 @@ def validate(path: Path) -> None:
                 raise UserError(f"{path}: holds no simulation; expected groups such as /00000.")
             for name in names:
                 _validate_simulation(path, file[name])
-        except (OSError, KeyError, RuntimeError) as error:  # h5py raises any of them
+        except DAMAGE as error:
             raise UserError(f"{path}: the file is damaged: {error}.") from error
 
 

@@ -17,12 +17,12 @@ from torch.utils.data import DataLoader, Dataset
 
 from datamodules.augmentation import Augmentation
 from datamodules.reader import FrameReader
+from datamodules.sampler import each_once
+from datamodules.schema import SPLITS
 from fluidsnet.errors import UserError
 from fluidsnet.particles import RolloutStart, Transitions
 from fluidsnet.scene import Scene
 from fluidsnet.statistics import Statistics
-
-SPLITS = ("train", "val", "test")
 
 #: Statistics are taken from at most so many samples, evenly spread over the split.
 STATISTICS_SAMPLES = 256
@@ -57,6 +57,9 @@ class TransitionDataset(Dataset[Transitions]):
     ) -> None:
         self.samples, self.stride, self.steps = samples, stride, steps
         self.augmentation = augmentation
+        # By its file too: one name may be in several.
+        names = dict.fromkeys((sample.reader.path, sample.simulation) for sample in samples)
+        self._numbers = {name: number for number, name in enumerate(names)}
 
     def __len__(self) -> int:
         return len(self.samples)
@@ -73,6 +76,7 @@ class TransitionDataset(Dataset[Transitions]):
             state=state,
             next_position=torch.stack([position for position, _ in later]),
             next_velocity=torch.stack([velocity for _, velocity in later]),
+            simulation=torch.tensor([self._numbers[reader.path, simulation]]),
         )
         return transitions if self.augmentation is None else self.augmentation(transitions)
 
@@ -238,10 +242,15 @@ class SPHDataModule(LightningDataModule):
             "test": ("test",),
             "predict": ("test",),
         }[stage]
-        for split in needed:
+        # Dealt out by frame, the samples of each split come from these two files.
+        dealt = self.split_by == "frame" and stage != "predict"
+        for split in ("train", "val") if dealt else needed:
             self._check_scene(split)
-            if stage != "predict":
+        if stage != "predict":
+            for split in needed:
                 self._samples_of(split)
+        if stage == "fit" and self.augmentation is not None:
+            self.augmentation.check(self.scene)
 
     def train_dataloader(self) -> DataLoader[Transitions]:
         return self._loader("train", shuffle=True)
@@ -254,7 +263,7 @@ class SPHDataModule(LightningDataModule):
 
     def predict_dataloader(self) -> DataLoader[RolloutStart]:
         dataset = RolloutDataset(self._reader("test"), self.stride, self.rollout_steps)
-        return DataLoader(dataset, batch_size=None)
+        return DataLoader(dataset, batch_size=None, sampler=each_once(dataset))
 
     def transfer_batch_to_device(
         self, batch: Any, device: torch.device, dataloader_idx: int
@@ -270,11 +279,13 @@ class SPHDataModule(LightningDataModule):
         if split == "train":
             dataset.augmentation = self.augmentation
         # Workers are forked: they must not inherit an open file.
-        self._reader(split).close()
+        for reader in self._readers.values():
+            reader.close()
         return DataLoader(
             dataset,
             batch_size=self.batch_size,
             shuffle=shuffle,
+            sampler=None if shuffle else each_once(dataset),
             collate_fn=Transitions.collate,
             num_workers=self.workers,
             persistent_workers=self.workers > 0,
@@ -291,7 +302,8 @@ class SPHDataModule(LightningDataModule):
 
     def _check_scene(self, split: str) -> None:
         header, first = self._reader(split).header, self._first_header()
-        for name in ("domain_lower", "domain_upper", "gravity", "particle_radius", "dt"):
+        lengths = ("particle_radius", "support_radius")
+        for name in ("domain_lower", "domain_upper", "gravity", *lengths, "dt"):
             if getattr(header, name) != getattr(first, name):
                 raise UserError(
                     f"{self._reader(split).path}: {name} is {getattr(header, name)}, and "
@@ -371,6 +383,5 @@ def statistics(dataset: TransitionDataset) -> Statistics:
         velocity_deviation=deviations[0],
         change_mean=means[1],
         change_deviation=deviations[1],
-        drift_mean=means[2],
         drift_deviation=deviations[2],
     )

@@ -42,7 +42,7 @@ class Integrator(ABC):
 
 @final
 class Euler(Integrator):
-    """The paper's; at Δt = 20 ms it is off by millimetres even with the true velocity."""
+    """The paper's; at Δt = 20 ms it is off by millimeters even with the true velocity."""
 
     def displacement(self, particles: Particles, motion: Motion) -> Tensor:
         return particles.scene.time_step * motion.velocity

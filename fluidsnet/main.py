@@ -62,11 +62,20 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         words[arguments[0]](arguments)
     except UserError as error:
-        print(f"fluidsnet: {error}", file=sys.stderr)
+        print(f"fluidsnet: {_words(error)}", file=sys.stderr)
         sys.exit(1)
     except KeyboardInterrupt:
         print("fluidsnet: interrupted.", file=sys.stderr)
         sys.exit(130)
+
+
+def _words(error: UserError) -> str:
+    """What an error says, without what torch adds to one from a process that reads ahead."""
+    words = str(error)
+    if words.startswith("Caught UserError in "):
+        # Then comes that process's traceback, which ends with the error.
+        words = words.rpartition(f"{UserError.__module__}.{UserError.__name__}: ")[2].strip()
+    return words
 
 
 def _generate(arguments: list[str]) -> None:
@@ -95,6 +104,7 @@ def _experiment(arguments: list[str]) -> None:
         ".*isinstance.treespec, LeafSpec.*",
         ".*is already saved during checkpointing.*",
         ".*predict returned None.*",
+        ".*Grad strides do not match bucket view strides.*",
     ):
         warnings.filterwarnings("ignore", message)
     from fluidsnet.cli import run

@@ -9,16 +9,18 @@ import torch
 from lightning import LightningModule
 from lightning.pytorch.cli import OptimizerCallable
 from torch import Tensor
-from torch.nn.functional import mse_loss
+from torch.nn.parallel import DistributedDataParallel
 from torch.optim import Adam, Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 from torchmetrics import MetricCollection
 
+from fluidsnet.checkpoint import check, describe
 from fluidsnet.errors import UserError
 from fluidsnet.features.context import GlobalVector
 from fluidsnet.features.local import LocalFeature, NeighborMean
 from fluidsnet.integrator import Euler, Integrator
-from fluidsnet.metrics import PositionError, Skill, VelocityMSE
+from fluidsnet.loss import mean_square
+from fluidsnet.metrics import PositionError, Skill, TargetError, VelocityMSE
 from fluidsnet.neighbors import Auto, NeighborSearch
 from fluidsnet.network import ContextFactory, Network
 from fluidsnet.noise import StartNoise
@@ -94,6 +96,9 @@ class FluidsNet(LightningModule):
                 f"a displacement, and {type(self.network.target).__name__} does not; use "
                 "DisplacementTarget, or the integrator Euler or Trapezoid."
             )
+        # A metric, since Lightning's mean of a number over processes is off where one of them
+        # has more frames.
+        self.validation_loss = TargetError()
         self.validation = self._metrics()
         self.testing = torch.nn.ModuleDict({name: self._metrics() for name in PREDICTORS})
 
@@ -115,6 +120,16 @@ class FluidsNet(LightningModule):
             # A checkpoint that is resumed is read after this and has the last word.
             data: Any = self._data_module()
             self.learn_scale(data.statistics, data.time_step)
+            # All processes come to the same buffers by themselves. To send them round at each
+            # call costs more than the network, and needs as many batches of each to validate.
+            DistributedDataParallel._set_params_and_buffers_to_ignore_for_model(  # type: ignore[no-untyped-call]
+                self, [name for name, _ in self.named_buffers()]
+            )
+
+    def on_fit_start(self) -> None:
+        if self.global_rank:
+            # Processes share a seed, and must not share noise, mirrors and empty cells.
+            torch.manual_seed(torch.initial_seed() + self.global_rank)
 
     def configure_optimizers(self) -> Any:
         optimizer = self.optimizer(self.parameters())
@@ -135,12 +150,14 @@ class FluidsNet(LightningModule):
         losses = []
         for position, velocity in zip(batch.next_position, batch.next_velocity, strict=True):
             output = self.network(state)
-            losses.append(mse_loss(output, self.network.target.encode(state, position, velocity)))
+            expected = self.network.target.encode(state, position, velocity)
+            losses.append(mean_square(output, expected))
             if len(losses) < len(batch.next_position):
                 motion = self.network.target.decode(output, state)
                 state = self.walls(self.integrator(state, motion))
         loss = torch.stack(losses).mean()
-        self.log("train/loss", loss, batch_size=batch.state.frames, prog_bar=True)
+        frames = batch.state.frames
+        self.log("train/loss", loss, batch_size=frames, prog_bar=True, sync_dist=True)
         return loss
 
     def validation_step(self, batch: Transitions, batch_index: int) -> None:
@@ -151,7 +168,8 @@ class FluidsNet(LightningModule):
         state = self.walls(self.integrator(batch.state, motion))
         _update(self.validation, state, batch)
         frames = batch.state.frames
-        self.log("val/loss", mse_loss(output, expected), batch_size=frames, sync_dist=True)
+        self.validation_loss.update(output, expected, batch.state, batch.simulation)
+        self.log("val/loss", self.validation_loss, batch_size=frames)
         for name, metric in self.validation.items():
             shown = name == "skill"
             self.log(f"val/{name}", metric, batch_size=frames, prog_bar=shown)
@@ -178,6 +196,15 @@ class FluidsNet(LightningModule):
         finally:
             for observer in observers:
                 observer.on_rollout_end(batch)
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        describe(checkpoint, self.network)
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        check(checkpoint, self.network)
+
+    def on_train_start(self) -> None:
+        self._check_time_step()
 
     def on_validation_start(self) -> None:
         self._check_time_step()
@@ -227,6 +254,8 @@ def _adam(parameters: Iterable[Tensor]) -> Optimizer:
 
 def _update(metrics: MetricCollection, state: Particles, batch: Transitions) -> None:
     """Adds a batch of predicted states to velocity_mse, skill and position error."""
-    metrics["velocity_mse"].update(state.velocity, batch.next_velocity[0], batch.state)
-    metrics["skill"].update(state.velocity, batch.next_velocity[0], batch.state)
-    metrics["position_error_1_mm"].update(state.position, batch.next_position[0], batch.state)
+    before, simulation = batch.state, batch.simulation
+    position, velocity = batch.next_position[0], batch.next_velocity[0]
+    metrics["velocity_mse"].update(state.velocity, velocity, before, simulation)
+    metrics["skill"].update(state.velocity, velocity, before, simulation)
+    metrics["position_error_1_mm"].update(state.position, position, before, simulation)

@@ -46,6 +46,7 @@ class Network(nn.Module):
         head: Sequence[int] = (32, 16, 8),
     ) -> None:
         super().__init__()
+        self.cells = cells
         self.neighbors = neighbors
         self.inputs = InputFeature()
         self.local = local

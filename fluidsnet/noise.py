@@ -25,8 +25,8 @@ class StartNoise(nn.Module):
     def __init__(self, most: float = 0.5) -> None:
         super().__init__()
         self.most = most
-        self.register_buffer("change_deviation", torch.ones(()))
-        self.register_buffer("drift_deviation", torch.ones(()))
+        self.register_buffer("change_deviation", torch.ones(()), persistent=False)
+        self.register_buffer("drift_deviation", torch.ones(()), persistent=False)
 
     def set_statistics(self, statistics: Statistics) -> None:
         """Takes the scale of the noise from the training split."""

@@ -118,11 +118,13 @@ class Transitions(_Batch):
         state: N particles.
         next_position: (S, N, 3) after 1, 2, … S steps, m.
         next_velocity: (S, N, 3) m/s.
+        simulation: (F,) int64, number of the simulation that each frame is of.
     """
 
     state: Particles
     next_position: Tensor
     next_velocity: Tensor
+    simulation: Tensor
 
     @classmethod
     def collate(cls, samples: Sequence[Transitions]) -> Transitions:
@@ -131,6 +133,7 @@ class Transitions(_Batch):
             state=Particles.collate([sample.state for sample in samples]),
             next_position=torch.cat([sample.next_position for sample in samples], dim=1),
             next_velocity=torch.cat([sample.next_velocity for sample in samples], dim=1),
+            simulation=torch.cat([sample.simulation for sample in samples]),
         )
 
 

@@ -15,16 +15,14 @@ class Statistics:
 
     Attributes:
         velocity_mean: (3,) of v, m/s.
-        velocity_deviation: of v about its mean, m/s.
+        velocity_deviation: () of v about its mean, m/s.
         change_mean: (3,) of v' - v, m/s.
-        change_deviation: of v' - v about its mean, m/s.
-        drift_mean: (3,) of x' - x - Δt·v, m.
-        drift_deviation: of x' - x - Δt·v about its mean, m.
+        change_deviation: () of v' - v about its mean, m/s.
+        drift_deviation: () of x' - x - Δt·v about its mean, m.
     """
 
     velocity_mean: Tensor
     velocity_deviation: Tensor
     change_mean: Tensor
     change_deviation: Tensor
-    drift_mean: Tensor
     drift_deviation: Tensor

@@ -10,6 +10,7 @@ import torch
 
 from fluidsnet.particles import Particles
 from fluidsnet.scene import Scene
+from tools.demo import reason_against_the_solver
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 
@@ -18,6 +19,14 @@ DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 def sample() -> Path:
     """A small data set that the real IISPH solver made."""
     return Path(__file__).parent / "data" / "dam_break"
+
+
+@pytest.fixture(scope="session")
+def real_solver() -> None:
+    """Skips what needs the solver where it cannot run, such as without libGL."""
+    reason = reason_against_the_solver()
+    if reason is not None:
+        pytest.skip(reason)
 
 
 @pytest.fixture(params=DEVICES)

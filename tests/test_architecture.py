@@ -10,9 +10,11 @@ ROOT = Path(__file__).parents[1]
 #: What may import what: a module may import those of a lower rank, and its own package.
 RANKS = {
     "fluidsnet.errors": 0,
+    "fluidsnet.processes": 0,
     "fluidsnet.scene": 0,
     "fluidsnet.statistics": 0,
     "fluidsnet.particles": 1,
+    "fluidsnet.loss": 1,
     "fluidsnet.schedule": 1,
     "fluidsnet.export": 1,
     "fluidsnet.neighbors": 2,
@@ -25,6 +27,7 @@ RANKS = {
     "fluidsnet.integrator": 3,
     "fluidsnet.metrics": 4,
     "fluidsnet.network": 4,
+    "fluidsnet.checkpoint": 5,
     "fluidsnet.rollout": 5,
     "fluidsnet.batched": 5,
     "fluidsnet.compiled": 5,

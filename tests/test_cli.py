@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import csv
+import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import h5py
+import lightning
 import numpy as np
 import pytest
 import yaml
@@ -22,6 +26,9 @@ CONFIGS = ROOT / "configs"
 TRAINER = CONFIGS / "trainer.yaml"
 PAPER = CONFIGS / "model" / "paper.yaml"
 SAMPLE = CONFIGS / "data" / "sample.yaml"
+
+# It logs to the stderr that there is when it is loaded, which must not be one test's own.
+assert lightning
 
 Run = Callable[..., None]
 
@@ -110,11 +117,78 @@ def test_every_scene_config_draws_its_scenes(scene: Path, tmp_path: Path) -> Non
         assert (lower >= 0).all() and (upper <= np.array(recipe.scene.domain)).all()
 
 
+# The paper's simulations take hours: the same scene of coarse particles takes a moment.
+@pytest.mark.usefixtures("real_solver")
+@pytest.mark.parametrize("scene", sorted((CONFIGS / "scene").glob("*.yaml")), ids=lambda p: p.stem)
+def test_every_scene_config_is_simulated(scene: Path, tmp_path: Path) -> None:
+    recipe = yaml.safe_load(scene.read_text())["recipe"]
+    radius = min(recipe["scene"]["init_args"]["domain"]) / 24
+    root = tmp_path / "data"
+    changes = {"particle_radius": radius, "train": 1, "val": 0, "test": 0, "frames": 3}
+    main(
+        [
+            *("generate", f"--config={scene}", f"--root={root}"),
+            *(f"--recipe.{name}={value}" for name, value in changes.items()),
+        ]
+    )
+    with h5py.File(root / "train.h5") as file:
+        position = file["00000/position"][()]
+        assert file.attrs["scene"] == recipe["scene"]["class_path"].rpartition(".")[2]
+        assert file["00000/time"][-1] == pytest.approx(2 * recipe["frame_interval"])
+        bodies = json.loads(file["00000"].attrs["scene_parameters"])
+    assert len(position) == 3
+    # Nothing that was drawn is missing, such as the pool below a drop.
+    for body in bodies:
+        if body["shape"] == "block":
+            lower, upper = np.array(body["lower"]), np.array(body["upper"])
+        else:
+            lower = np.array(body["center"]) - body["radius"]
+            upper = np.array(body["center"]) + body["radius"]
+        inside = ((position[0] > lower) & (position[0] < upper)).all(axis=1)
+        share = 1.0 if body["shape"] == "block" else np.pi / 6
+        volume = inside.sum() * (2 * radius) ** 3
+        assert volume == pytest.approx(share * np.prod(upper - lower), rel=0.25)
+    # Free fall or the start of a collapse, and no burst.
+    moved = np.abs(position[2] - position[0]).max()
+    assert 0 < moved < 0.2 * radius + 20 * (2 * recipe["frame_interval"]) ** 2
+
+
+def test_the_demo_trains_as_it_is_composed(run: Run, tmp_path: Path) -> None:
+    run(
+        "fit",
+        *(TRAINER, CONFIGS / "model" / "field.yaml", SAMPLE, CONFIGS / "demo.yaml"),
+        more=("--trainer.max_epochs=-1", "--trainer.max_steps=2", "--trainer.val_check_interval=2"),
+    )
+    assert (tmp_path / "run" / "checkpoints" / "best.ckpt").exists()
+    written = yaml.safe_load((tmp_path / "run" / "config.yaml").read_text())["trainer"]
+    demo = yaml.safe_load((CONFIGS / "demo.yaml").read_text())["trainer"]
+    assert written["gradient_clip_val"] == demo["gradient_clip_val"]
+
+
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_an_error_in_a_process_that_reads_ahead_is_one_sentence(
+    run: Run, sample: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = tmp_path / "damaged"
+    shutil.copytree(sample, root)
+    with h5py.File(root / "val.h5") as file:
+        chunk = file["00000/velocity"].id.get_chunk_info(1)
+    with (root / "val.h5").open("r+b") as content:
+        content.seek(chunk.byte_offset)
+        content.write(b"\xff" * chunk.size)
+    more = (f"--data.init_args.root={root}", "--data.init_args.workers=1")
+    with pytest.raises(SystemExit) as end:
+        run("fit", TRAINER, PAPER, SAMPLE, more=more)
+    assert end.value.code == 1
+    said = capsys.readouterr().err
+    words = said.strip().splitlines()[-1]
+    assert words.startswith(f"fluidsnet: {root / 'val.h5'}: frame 1 of /00000 cannot be read")
+    assert "Traceback" not in said
+
+
 def test_the_rollout_file_holds_the_start_the_truths_error_and_each_step(
     run: Run, tmp_path: Path, sample: Path
 ) -> None:
-    import h5py
-
     run("fit", TRAINER, PAPER, SAMPLE)
     folder = tmp_path / "run"
     # Ten steps more than the sample's 40, where there is no truth any more.

@@ -106,6 +106,51 @@ def test_scale_comes_from_the_training_data_and_stays_with_the_checkpoint(
     assert torch.equal(again.cpu()(batch.state).position, expected.position)
 
 
+def _keep(model: FluidsNet, source: SPHDataModule, folder: Path) -> Path:
+    saver = ModelCheckpoint(dirpath=folder, filename="kept")
+    runner = trainer(folder, max_steps=1, limit_val_batches=1, enable_checkpointing=True,
+                     callbacks=[saver])  # fmt: skip
+    runner.fit(model, source)
+    return folder / "kept.ckpt"
+
+
+def test_a_network_of_other_blocks_comes_back_from_its_checkpoint(
+    sample: Path, tmp_path: Path
+) -> None:
+    source = data(sample)
+    blocks: dict[str, Any] = {"target": DisplacementTarget(), "context": NoContext}
+    model = FluidsNet(source.cells, integrator=Displacement(), noise=StartNoise(), **blocks)
+    kept = _keep(model, source, tmp_path)
+    again = FluidsNet.load_from_checkpoint(kept, **blocks)
+    for name, value in model.network.state_dict().items():
+        assert torch.equal(again.network.state_dict()[name].cpu(), value.cpu())
+    trainer(tmp_path).test(again, source, ckpt_path=kept, weights_only=True, verbose=False)
+
+
+def test_a_checkpoint_of_other_blocks_or_another_grid_is_refused(
+    sample: Path, tmp_path: Path
+) -> None:
+    source = data(sample)
+    kept = _keep(FluidsNet(source.cells), source, tmp_path)
+    # Same shapes, another meaning.
+    with pytest.raises(UserError, match=r"target VelocityTarget.*has AccelerationTarget"):
+        FluidsNet.load_from_checkpoint(kept, target=AccelerationTarget())
+    with pytest.raises(UserError, match=r"grid of 6 x 4 x 6 cells.*give 8 x 5 x 8.*voxel_size"):
+        other = data(sample, voxel_size=0.2)
+        trainer(tmp_path).test(FluidsNet(other.cells), other, ckpt_path=kept, verbose=False)
+
+
+def test_resuming_at_another_time_step_is_refused_before_training(
+    sample: Path, tmp_path: Path
+) -> None:
+    source = data(sample)
+    kept = _keep(FluidsNet(source.cells), source, tmp_path)
+    runner = trainer(tmp_path, max_steps=3)
+    with pytest.raises(UserError, match=r"time step of 0.02 s.*stepped by 0.04 s"):
+        runner.fit(FluidsNet(source.cells), data(sample, stride=2), ckpt_path=kept)
+    assert runner.global_step == 1
+
+
 def test_the_learning_rate_falls_to_a_twentieth_halfway(sample: Path, tmp_path: Path) -> None:
     class Watch(FluidsNet):
         seen: list[float]

@@ -26,7 +26,7 @@ Make = Callable[..., Particles]
 def statistics(device: torch.device) -> Statistics:
     means = torch.tensor([[0.1, -0.5, 0.2], [0.0, -0.1, 0.01], [0.0, -0.002, 0.0]], device=device)
     deviations = torch.tensor([0.7, 0.17, 0.002], device=device)
-    return Statistics(means[0], deviations[0], means[1], deviations[1], means[2], deviations[2])
+    return Statistics(means[0], deviations[0], means[1], deviations[1], deviations[2])
 
 
 @pytest.mark.parametrize("target", [VelocityTarget, AccelerationTarget, DisplacementTarget])

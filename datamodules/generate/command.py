@@ -7,7 +7,9 @@ from pathlib import Path
 
 from jsonargparse import ArgumentParser
 
-from datamodules.generate.dataset import SPLITS, Recipe, generate
+from datamodules.generate.dataset import generate
+from datamodules.generate.recipe import Recipe
+from datamodules.schema import SPLITS
 
 
 def generate_command(arguments: list[str]) -> None:
@@ -17,7 +19,7 @@ def generate_command(arguments: list[str]) -> None:
         UserError: as `generate`.
     """
     options = _parser().parse_args(arguments)
-    options = _parser().instantiate_classes(options)
+    options = _parser().instantiate(options)
     recipe = Recipe(**vars(options.recipe))
     root = Path(options.root)
     failures = generate(recipe, root, options.processes, options.threads)

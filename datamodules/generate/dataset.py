@@ -16,122 +16,13 @@ from pathlib import Path
 from typing import NoReturn
 
 import h5py
-import numpy as np
 from tqdm import tqdm
 
-from datamodules.generate.job import Job, SolverName
-from datamodules.generate.scene_file import PARAMETERS, SOLVER_STEPS
-from datamodules.generate.scenes import Body, SceneKind, Vector
+from datamodules.generate.job import Job
+from datamodules.generate.recipe import Recipe
 from datamodules.generate.solver import load_solver
+from datamodules.schema import SPLITS
 from fluidsnet.errors import UserError
-
-SPLITS = ("train", "val", "test")
-
-#: So often a scene is drawn anew that another simulation has already.
-_DRAWS = 1000
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """All that decides what a data set holds; one recipe and one seed, one data set.
-
-    Attributes:
-        scene: the kind of scene, which draws the fluid.
-        particle_radius: m.
-        train: number of simulations for training.
-        val: number of simulations for validation.
-        test: number of simulations for the test.
-        frames: stored frames per simulation, the start included.
-        frame_interval: time between stored frames, s; a whole number of solver steps.
-        solver_step: the solver's fixed time step, s; 2.5 ms by default, 0.5 ms for WCSPH.
-        solver: IISPH (the paper's), WCSPH, PCISPH or DFSPH.
-        seed: every simulation draws its scene from this, its split and its own number.
-        gravity: m/s².
-        density0: rest density, kg/m³.
-        viscosity: coefficient of the solver's standard viscosity.
-        solver_parameters: of the pressure solver, as SPlisHSPlasH names them.
-    """
-
-    scene: SceneKind
-    particle_radius: float
-    train: int
-    val: int
-    test: int
-    frames: int = 1500
-    frame_interval: float = 0.0025
-    solver_step: float | None = None
-    solver: SolverName = "IISPH"
-    seed: int = 0
-    gravity: Vector = (0.0, -9.81, 0.0)
-    density0: float = 1000.0
-    viscosity: float = 0.01
-    solver_parameters: dict[str, float] | None = None
-
-    def __post_init__(self) -> None:
-        if not self.step > 0:
-            raise UserError(f"solver_step is {self.step}; it must be above zero.")
-        ratio = self.frame_interval / self.step
-        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
-            raise UserError(
-                f"frame_interval ({self.frame_interval} s) must be a whole number of "
-                f"solver steps ({self.step} s)."
-            )
-        if self.frames < 2:
-            raise UserError(f"frames is {self.frames}; a simulation needs two at least.")
-
-    @property
-    def step(self) -> float:
-        """The solver's time step, s: the recipe's, or the solver's own default."""
-        return SOLVER_STEPS[self.solver] if self.solver_step is None else self.solver_step
-
-    def starts(self) -> dict[tuple[str, int], list[Body]]:
-        """What each simulation, by split and number, starts from; no two start alike.
-
-        Coarse particles leave few blocks to choose from, and a simulation in two splits would
-        make the test a test of memory.
-
-        Raises:
-            UserError: the kind of scene does not have that many different starts.
-        """
-        drawn: dict[tuple[str, int], list[Body]] = {}
-        for split in SPLITS:
-            for number in range(getattr(self, split)):
-                random = np.random.default_rng(self.entropy(split, number))
-                for _ in range(_DRAWS):
-                    bodies = self.scene.sample(random, self.particle_radius)
-                    if bodies not in drawn.values():
-                        break
-                else:
-                    raise UserError(
-                        f"{type(self.scene).__name__} draws no more than {len(drawn)} different "
-                        "scenes; take smaller particles, wider ranges or fewer simulations."
-                    )
-                drawn[split, number] = bodies
-        return drawn
-
-    def entropy(self, split: str, number: int) -> list[int]:
-        """The seed of a simulation."""
-        return [self.seed, SPLITS.index(split), number]
-
-    def job(self, split: str, number: int, bodies: list[Body], output: Path, threads: int) -> Job:
-        """The simulation of this number in a split, from one of the `starts`."""
-        return Job(
-            output=str(output),
-            scene=type(self.scene).__name__,
-            solver=self.solver,
-            domain=self.scene.domain,
-            particle_radius=self.particle_radius,
-            gravity=self.gravity,
-            density0=self.density0,
-            viscosity=self.viscosity,
-            solver_step=self.step,
-            steps_per_frame=round(self.frame_interval / self.step),
-            frames=self.frames,
-            seed=self.entropy(split, number),
-            bodies=bodies,
-            threads=threads,
-            parameters={**PARAMETERS[self.solver], **(self.solver_parameters or {})},
-        )
 
 
 @dataclass(frozen=True)
@@ -195,10 +86,15 @@ def generate(
         The simulations that failed; they are not in the data set.
 
     Raises:
-        UserError: the solver is not installed, the folder holds another data set,
-            there are not as many different scenes as simulations, or a split would be
-            empty because each of its simulations failed.
+        UserError: processes or threads are below one, the solver is not installed,
+            the folder holds another data set, there are not as many different scenes as
+            simulations, or a split would be empty because each of its simulations failed.
     """
+    if processes is None:
+        processes = os.cpu_count() or 1
+    for name, value in (("processes", processes), ("threads", threads)):
+        if value < 1:
+            raise UserError(f"--{name} is {value}; it must be at least 1.")
     load_solver()
     starts = recipe.starts()
     parts = root / "parts"
@@ -222,16 +118,26 @@ def generate(
     if not waiting and not parts.exists():
         return []
     parts.mkdir(exist_ok=True)
+    _sweep(parts)
     total = sum(len(outputs) for outputs in wanted.values()) * recipe.frames
     with (
-        tempfile.TemporaryDirectory(prefix="fluidsnet-") as scratch,
+        tempfile.TemporaryDirectory(dir=parts) as scratch,
         tqdm(total=total, initial=done * recipe.frames, unit="frame", desc="simulating") as bar,
     ):
-        failures = _run(waiting, Path(scratch), processes or os.cpu_count() or 1, bar)
+        failures = _run(waiting, Path(scratch), processes, bar)
     for split, outputs in wanted.items():
         _join(root / f"{split}.h5", [output for output in outputs if output.exists()], failures)
     shutil.rmtree(parts)
     return failures
+
+
+def _sweep(parts: Path) -> None:
+    """Removes what a killed call left beside whole simulations: scratch folders, partial files."""
+    for path in parts.iterdir():
+        if path.is_dir():
+            shutil.rmtree(path)
+        elif path.suffix != ".h5":
+            path.unlink()
 
 
 def _claim(root: Path, recipe: Recipe) -> None:

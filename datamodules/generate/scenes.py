@@ -15,6 +15,8 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from fluidsnet.errors import UserError
+
 Vector = tuple[float, float, float]
 Range = tuple[float, float]
 
@@ -22,6 +24,9 @@ Range = tuple[float, float]
 #: particles after Akinci et al. 2012, fluid at one radius is 6 % too dense at a wall and 12 %
 #: in a corner, and bursts apart in the first step; from 1.2 on it is at rest density.
 CLEARANCE = 1.25
+
+#: The solver leaves a block of a single layer of particles out, without a word.
+FEWEST_LAYERS = 2
 
 
 @final
@@ -97,12 +102,21 @@ class SceneKind(ABC):
     def block(
         self, corner: Sequence[float], edges: Sequence[float], particle_radius: float
     ) -> Block:
-        """A block of whole particles, of about these edges, moved until it is inside."""
+        """A block of whole particles, of about these edges, moved until it is inside.
+
+        Raises:
+            UserError: the domain is too small for such particles.
+        """
         lower_limit, upper_limit = self.room(particle_radius)
         spacing = 2 * particle_radius
         # The small share keeps 0.3 / 0.1 from losing a layer to rounding.
         most = np.floor((upper_limit - lower_limit) / spacing + 1e-6)
-        layers = np.clip(np.round(np.array(edges) / spacing), 1, most)
+        if (most < FEWEST_LAYERS).any():
+            raise UserError(
+                f"particle_radius is {particle_radius}; particles that large do not fit into a "
+                f"domain of {self.domain} m."
+            )
+        layers = np.clip(np.round(np.array(edges) / spacing), FEWEST_LAYERS, most)
         lower = np.clip(np.array(corner), lower_limit, upper_limit - layers * spacing)
         upper = lower + layers * spacing
         return Block(_vector(lower), _vector(upper))

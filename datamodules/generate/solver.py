@@ -19,17 +19,15 @@ from pathlib import Path
 from types import ModuleType
 
 import h5py
-import numpy as np
-from numpy.typing import NDArray
 
 from datamodules.generate.job import Job
+from datamodules.generate.recorder import EscapedError, Recorder
 from datamodules.generate.scene_file import AKINCI_2012, REGULAR_TRIANGLES, scene_file
-from datamodules.schema import COMPRESSION, Header, create_frames
+from datamodules.schema import Header
 from fluidsnet.errors import UserError
 
-
-class EscapedError(RuntimeError):
-    """A particle left the domain, as it can in the solver too."""
+#: s of simulated time that no simulation reaches.
+_NEVER = 1e6
 
 
 def load_solver() -> ModuleType:
@@ -73,125 +71,6 @@ def solver_version() -> str:
         ) from error
 
 
-class Recorder:
-    """Writes the frames of a running simulation to a file as the solver reaches them.
-
-    Args:
-        solver: the module pysplishsplash, with a simulation initialised.
-        job: what is simulated.
-        group: of the simulation, in a file open for writing.
-        report: a file descriptor that gets a line a frame.
-    """
-
-    def __init__(self, solver: ModuleType, job: Job, group: h5py.Group, report: int) -> None:
-        self.solver, self.job, self.group, self.report = solver, job, group, report
-        self.frames = 0
-        self.seconds = 0.0
-        self.failure: Exception | None = None
-        self._steps = 0
-        self._upper = np.array(job.domain)
-        position, velocity = self._fluid()
-        self.position, self.velocity = create_frames(group, len(position))
-        self._times: list[float] = []
-        self._solver_seconds: list[float] = []
-        self._store(position, velocity)
-        self._resumed = time.perf_counter()
-
-    def step(self) -> None:
-        """Called by the solver after each of its steps."""
-        self.seconds += time.perf_counter() - self._resumed
-        try:
-            self._steps += 1
-            self._keep_time()
-            if self._steps == 1:
-                self._store_solids()
-            if self._steps % self.job.steps_per_frame == 0 and self.frames < self.job.frames:
-                self._store(*self._fluid())
-        except Exception as error:  # the solver's C++ would swallow it
-            self.failure = error
-            raise
-        self._resumed = time.perf_counter()
-
-    def finish(self) -> None:
-        """Writes what is known only at the end.
-
-        Raises:
-            RuntimeError: the solver stopped before the last frame.
-        """
-        if self.failure is not None:
-            raise self.failure
-        if self.frames < self.job.frames:
-            raise RuntimeError(f"the solver ended after {self.frames} of {self.job.frames} frames")
-        self.group["time"] = np.array(self._times)
-        self.group["solver_seconds"] = np.array(self._solver_seconds)
-
-    def _keep_time(self) -> None:
-        """Checks the solver's clock, and sets it.
-
-        The clock is the sum of its steps in single precision, which drifts by 2 % of a step
-        over the paper's 1,500 and by whole steps over more.
-        """
-        clock, step = self.solver.TimeManager.getCurrent(), self.job.solver_step
-        now, due = clock.getTime(), self._steps * step
-        if abs(now - due) > 0.01 * step:
-            raise RuntimeError(f"step {self._steps} ends at {due} s; the solver is at {now} s")
-        clock.setTime(due)
-
-    def _fluid(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        simulation = self.solver.Simulation.getCurrent()
-        models = [
-            simulation.getFluidModel(number) for number in range(simulation.numberOfFluidModels())
-        ]
-        # The buffers are the solver's own and have room for emitters: cut and copy.
-        position, velocity = (
-            np.concatenate(
-                [
-                    np.array(model.getFieldBuffer(name))[: model.numActiveParticles()]
-                    for model in models
-                ]
-            )
-            for name in ("position", "velocity")
-        )
-        return position, velocity
-
-    def _store(self, position: NDArray[np.float32], velocity: NDArray[np.float32]) -> None:
-        radius = self.job.particle_radius
-        if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
-            raise RuntimeError(f"a particle is not finite in frame {self.frames}")
-        outside = np.any((position < -radius) | (position > self._upper + radius), axis=1)
-        if outside.any():
-            raise EscapedError(
-                f"{int(outside.sum())} of {len(position)} particles left through a wall "
-                f"by frame {self.frames}"
-            )
-        self.position.resize(self.frames + 1, axis=0)
-        self.velocity.resize(self.frames + 1, axis=0)
-        self.position[self.frames] = position
-        self.velocity[self.frames] = velocity
-        self._times.append(self.frames * self.job.steps_per_frame * self.job.solver_step)
-        self._solver_seconds.append(self.seconds)
-        self.seconds = 0.0
-        self.frames += 1
-        # A broken pipe means that nobody waits for this simulation any more: stop.
-        os.write(self.report, b"frame\n")
-
-    def _store_solids(self) -> None:
-        """The walls' particles, which the solver makes only once it runs."""
-        simulation = self.solver.Simulation.getCurrent()
-        points = [
-            model.getPosition(row)
-            for model in map(
-                simulation.getBoundaryModel, range(simulation.numberOfBoundaryModels())
-            )
-            for row in range(model.numberOfParticles())
-        ]
-        self.group.create_dataset(
-            "solid_position",
-            data=np.array(points, dtype=np.float32).reshape(-1, 3),
-            **COMPRESSION,
-        )
-
-
 def simulate(job: Job, report: int) -> None:
     """Runs a job and leaves its file under its name once it is whole.
 
@@ -205,25 +84,30 @@ def simulate(job: Job, report: int) -> None:
         UserError: the solver is not installed.
     """
     solver = load_solver()
-    output = Path(job.output)
+    # The solver looks for files elsewhere than in the working folder.
+    output = Path(job.output).resolve()
     partial = output.with_name(f"{output.name}.{os.getpid()}.tmp")
     try:
-        with tempfile.TemporaryDirectory(prefix="fluidsnet-") as scratch:
+        with tempfile.TemporaryDirectory(dir=output.parent) as scratch:
             folder = Path(scratch)
             scene = folder / "scene.json"
             scene.write_text(json.dumps(scene_file(job, folder)))
             base = solver.Exec.SimulatorBase()
-            # One step more than is stored, so that rounding cannot lose the last frame.
-            steps = (job.frames - 1) * job.steps_per_frame + 1
             base.init(
                 sceneFile=str(scene),
                 useGui=False,
                 initialPause=False,
                 useCache=False,
                 outputDir=str(folder),
-                stopAt=steps * job.solver_step,
+                stopAt=_NEVER,
             )
             base.initSimulation()
+            # The solver samples the walls only when it is told to run. With its clock past the
+            # end it does that and no step, so that each step can be timed by itself.
+            clock = solver.TimeManager.getCurrent()
+            clock.setTime(2 * _NEVER)
+            base.runSimulation()
+            clock.setTime(0.0)
             with h5py.File(partial, "w") as file:
                 _header(job).write(file)
                 group = file.create_group("00000")
@@ -233,8 +117,13 @@ def simulate(job: Job, report: int) -> None:
                 )
                 group.attrs["threads"] = job.threads
                 recorder = Recorder(solver, job, group, report)
-                base.setTimeStepCB(recorder.step)
-                base.runSimulation()
+                while recorder.frames < job.frames:
+                    started = time.perf_counter()
+                    if not base.timeStepNoGUI():
+                        raise RuntimeError(
+                            f"the solver ended after {recorder.frames} of {job.frames} frames"
+                        )
+                    recorder.step(time.perf_counter() - started)
                 recorder.finish()
             base.cleanup()
         partial.replace(output)

@@ -1,7 +1,7 @@
 """Pictures of particles: the truth beside the prediction, at several times.
 
 Each particle is drawn as a lit sphere into a depth buffer, seen in perspective from slightly
-above; y is up. Colour is speed, blue at rest and whiter the faster, as in Fig. 12 of the paper.
+above; y is up. Color is speed, blue at rest and whiter the faster, as in Fig. 12 of the paper.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def side_by_side(
     particle_radius: float,
     speed_max: float | None = None,
 ) -> None:
-    """Draws panels in two columns to a PNG file, all with one scale of colour.
+    """Draws panels in two columns to a PNG file, all with one scale of color.
 
     A particle that is not finite, or too far away to be in the picture, is counted in the
     title of its panel: a prediction that blew up shows.
@@ -86,7 +86,7 @@ def side_by_side(
 
     camera = _Camera(np.asarray(domain_lower, float), np.asarray(domain_upper, float))
     top = _scale(panels) if speed_max is None else speed_max
-    colours = LinearSegmentedColormap.from_list("speed", _SPEEDS)
+    colors = LinearSegmentedColormap.from_list("speed", _SPEEDS)
     width = 2 * (camera.width + _GAP) + _BAR
     height = len(panels) // 2 * (camera.height + _TITLE) + _GAP
     figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor=_BACKGROUND)
@@ -95,24 +95,24 @@ def side_by_side(
         left = _GAP + column * (camera.width + _GAP)
         bottom = height - (row + 1) * (camera.height + _TITLE)
         box = (left / width, bottom / height, camera.width / width, camera.height / height)
-        _draw(figure.add_axes(box), camera, panel, particle_radius, colours, top)
+        _draw(figure.add_axes(box), camera, panel, particle_radius, colors, top)
     length = min(0.7 * height, 400) / height
     bar = figure.add_axes(((width - _BAR + 12) / width, 0.5 - length / 2, 14 / width, length))
-    shown = ScalarMappable(Normalize(0.0, top), colours)
+    shown = ScalarMappable(Normalize(0.0, top), colors)
     scale = figure.colorbar(shown, cax=bar, extend="max", extendfrac=0.03)
     scale.outline.set_visible(False)
     scale.set_label("speed, m/s", color=_TEXT, fontsize=11)
     bar.tick_params(colors=_TEXT, labelsize=10, length=3)
     drawing = BytesIO()
     figure.savefig(drawing, dpi=_DPI, facecolor=_BACKGROUND, pil_kwargs={"compress_level": 0})
-    # Blues and greys alone: 256 colours look the same and take a third of the bytes.
+    # Blues and greys alone: 256 colors look the same and take a third of the bytes.
     picture = Image.open(drawing).convert("RGB")
     picture = picture.quantize(palette=picture.quantize(256), dither=Image.Dither.FLOYDSTEINBERG)
     picture.save(path, format="PNG", optimize=True)
 
 
 def _scale(panels: Sequence[Panel]) -> float:
-    """Where the scale of colour ends, m/s."""
+    """Where the scale of color ends, m/s."""
     speeds = np.concatenate([np.asarray(panel.speed, float) for panel in panels])
     speeds = speeds[np.isfinite(speeds)]
     return max(float(np.quantile(speeds, 0.995)), 1e-3) if speeds.size else 1.0
@@ -160,13 +160,13 @@ class _Camera:
         across = np.stack([right, -up]) / depth * self.distance * self._pixels
         return np.column_stack([across.T - self._origin, depth])
 
-    def pixels_per_metre(self, depth: Floats) -> Floats:
-        """How large a metre is at a depth (N,), m."""
+    def pixels_per_meter(self, depth: Floats) -> Floats:
+        """How large a meter is at a depth (N,), m."""
         return self.distance * self._pixels / depth
 
 
 def _draw(
-    axes: Axes, camera: _Camera, panel: Panel, radius: float, colours: Colormap, top: float
+    axes: Axes, camera: _Camera, panel: Panel, radius: float, colors: Colormap, top: float
 ) -> None:
     """Draws one panel: floor, far edges, particles, near edges, title."""
     corners = camera.project(camera.corners())
@@ -182,7 +182,7 @@ def _draw(
             far = not any(facing[start >> other & 1][other] for other in {0, 1, 2} - {axis})
             order, alpha = (1, 0.5) if far else (3, 0.7)
             axes.plot(*ends[:, :2].T, color=_LINES, linewidth=1.0, zorder=order, alpha=alpha)
-    picture, drawn = _spheres(camera, panel, radius, colours, top)
+    picture, drawn = _spheres(camera, panel, radius, colors, top)
     axes.imshow(picture, extent=(0, camera.width, camera.height, 0), zorder=2)
     axes.set_xlim(0, camera.width)
     axes.set_ylim(camera.height, 0)
@@ -194,7 +194,7 @@ def _draw(
 
 
 def _spheres(
-    camera: _Camera, panel: Panel, radius: float, colours: Colormap, top: float
+    camera: _Camera, panel: Panel, radius: float, colors: Colormap, top: float
 ) -> tuple[NDArray[np.float32], int]:
     """Draws the particles.
 
@@ -204,16 +204,16 @@ def _spheres(
     width, height = camera.width * _FINE, camera.height * _FINE
     position = np.asarray(panel.position, float)
     with np.errstate(all="ignore"):
-        centre = camera.project(position)
-    x, y, depth = centre.T
+        center = camera.project(position)
+    x, y, depth = center.T
     x, y = x * _FINE, y * _FINE
     with np.errstate(invalid="ignore"):
-        seen = np.isfinite(centre).all(axis=1) & (depth > 0.2 * camera.distance)
+        seen = np.isfinite(center).all(axis=1) & (depth > 0.2 * camera.distance)
         seen &= (x >= 0) & (x < width) & (y >= 0) & (y < height)
     order = np.flatnonzero(seen)
     order = order[np.argsort(-depth[order])]  # the nearest last: of two writes the last stays
     x, y, depth = x[order], y[order], depth[order]
-    size = np.maximum(radius * camera.pixels_per_metre(depth) * _FINE, 0.8)
+    size = np.maximum(radius * camera.pixels_per_meter(depth) * _FINE, 0.8)
 
     nearest = np.full(height * width, np.inf)
     owner = np.full(height * width, -1)
@@ -239,7 +239,7 @@ def _spheres(
     )
     normal = np.vstack([normal, np.sqrt(np.maximum(1 - (normal**2).sum(axis=0), 0))])
     light = 0.62 + 0.43 * np.clip(_TOWARDS_LIGHT @ normal, 0, 1)
-    paint = colours(np.nan_to_num(panel.speed[order] / top, nan=0.0, posinf=1.0))[:, :3]
+    paint = colors(np.nan_to_num(panel.speed[order] / top, nan=0.0, posinf=1.0))[:, :3]
     image = np.zeros((height * width, 4), dtype=np.float32)
     image[filled, :3] = np.clip(paint[who] * light[:, None], 0, 1)
     image[filled, 3] = 1

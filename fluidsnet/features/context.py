@@ -19,9 +19,11 @@ class Context(nn.Module, ABC):
 
     Attributes:
         width: of the feature.
+        needs_its_grid: whether its weights fit only the number of cells they were trained on.
     """
 
     width: int
+    needs_its_grid = False
 
     @abstractmethod
     def forward(self, particles: Particles, features: Tensor) -> Tensor:
@@ -69,6 +71,7 @@ class GlobalVector(Context):
         seed: of the empty cells in evaluation; in training they are drawn afresh.
     """
 
+    needs_its_grid = True
     empty: Tensor
 
     def __init__(
@@ -109,7 +112,8 @@ class GlobalVector(Context):
             occupied = occupied_cells(particles, self.cells)
             voxels = self.voxel(features, occupied)
         with record_function("global"):
-            vectors = self._reduced(particles.frames, occupied, voxels)
+            # Mixed precision ends here: the gradient adds up a frame's particles.
+            vectors = self._reduced(particles.frames, occupied, voxels).to(features.dtype)
         if particles.frames == 1:
             # No copy for each particle.
             return vectors.expand(len(particles), -1)

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from torch_scatter import scatter
 
 from fluidsnet.features.context import Context
+from fluidsnet.features.precise import PreciseLinear
 from fluidsnet.features.voxel import GridShape, occupied_cells
 from fluidsnet.particles import Particles
 
@@ -33,7 +34,7 @@ class VoxelField(Context):
     def __init__(self, cells: GridShape, inputs: int, channels: int = 24, levels: int = 3) -> None:
         super().__init__()
         self.cells, self.width = cells, channels
-        self.encode = nn.Linear(inputs, channels)
+        self.encode = PreciseLinear(inputs, channels)
         # One channel more than the mean features: how many particles a cell has.
         self.enter = nn.Conv3d(channels + 1, channels, 3, padding=1)
         self.down = nn.ModuleList(
@@ -79,7 +80,8 @@ class VoxelField(Context):
     def _sample(self, field: Tensor, particles: Particles) -> Tensor:
         """The field, (F, C, X, Y, Z), between the centers of the cells: (N, C)."""
         scene = particles.scene
-        rows = field.permute(0, 2, 3, 4, 1).flatten(0, 3)
+        # Mixed precision ends here: the gradient adds up a cell's particles.
+        rows = field.permute(0, 2, 3, 4, 1).flatten(0, 3).to(particles.position.dtype)
         base = particles.frame * (self.cells[0] * self.cells[1] * self.cells[2])
         place = torch.nan_to_num((particles.position - scene.domain_lower) / scene.extent)
         lower, upper, share = [], [], []

@@ -1,4 +1,4 @@
-"""The seven numbers of a particle (paper, section 4.2), normalised by the scene."""
+"""The seven numbers of a particle (paper, section 4.2), normalized by the scene."""
 
 from __future__ import annotations
 

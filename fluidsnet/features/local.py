@@ -13,6 +13,7 @@ from torch_scatter import gather_csr, segment_csr
 from fluidsnet.features.dense import as_array, compiled_path_for, padded
 from fluidsnet.features.fused import EdgeLayers, neighbor_mean
 from fluidsnet.features.input import FLUID, SOLID, InputFeature
+from fluidsnet.features.precise import PreciseLinear
 from fluidsnet.neighbors.search import Neighbors, NeighborSearch
 from fluidsnet.particles import Particles
 
@@ -70,12 +71,16 @@ class NeighborMean(LocalFeature):
         super().__init__()
         self.width = width
         self.edge = nn.Sequential(
-            nn.Linear(InputFeature.width, hidden), nn.Tanh(), nn.Linear(hidden, width), nn.Tanh()
+            PreciseLinear(InputFeature.width, hidden),
+            nn.Tanh(),
+            nn.Linear(hidden, width),
+            nn.Tanh(),
         )
 
     def forward(self, particles: Particles, neighbors: Neighbors, inputs: InputFeature) -> Tensor:
         edges = edge_inputs(particles, neighbors, inputs)
-        pooled: Tensor = segment_csr(self.edge(edges), neighbors.offset, reduce="mean")
+        sent = self.edge(edges).to(edges.dtype)
+        pooled: Tensor = segment_csr(sent, neighbors.offset, reduce="mean")
         return pooled
 
     def without_edges(

@@ -14,6 +14,7 @@ from torch_scatter import gather_csr, segment_csr
 
 from fluidsnet.features.input import FLUID, SOLID, InputFeature
 from fluidsnet.features.local import LocalFeature, edge_offsets
+from fluidsnet.features.precise import PreciseLinear
 from fluidsnet.neighbors.search import Neighbors
 from fluidsnet.particles import Particles
 
@@ -38,7 +39,7 @@ class KernelMessages(LocalFeature):
     def __init__(self, width: int = 24, rounds: int = 2) -> None:
         super().__init__()
         self.width = width
-        self.offset = nn.ModuleList(nn.Linear(3, width, bias=False) for _ in range(rounds))
+        self.offset = nn.ModuleList(PreciseLinear(3, width, bias=False) for _ in range(rounds))
         # Of a sender: velocity, marker, and from the second round on its feature.
         self.sender = nn.ModuleList(
             nn.Linear(4 + (width if number else 0), width) for number in range(rounds)
@@ -60,10 +61,11 @@ class KernelMessages(LocalFeature):
         layers = zip(self.offset, self.sender, self.receiver, self.update, strict=True)
         for along, send, receive, update in layers:
             resting = feature.new_zeros(len(solid), feature.shape[1])
-            sent = send(torch.cat([states, torch.cat([feature, resting])], dim=1))
+            # Also in mixed precision, sums over edges, and those of gradients, are precise.
+            sent = send(torch.cat([states, torch.cat([feature, resting])], dim=1)).to(own.dtype)
             edges = (
                 sent.index_select(0, neighbors.neighbor)
-                - gather_csr(receive(own), neighbors.offset)
+                - gather_csr(receive(own).to(own.dtype), neighbors.offset)
                 + along(offset)
             )
             message = segment_csr(weight * torch.tanh(edges), neighbors.offset, reduce="sum")

@@ -20,6 +20,7 @@ from fluidsnet.features.dense import (
     rounded_up,
     squash,
 )
+from fluidsnet.features.precise import PreciseLinear
 from fluidsnet.neighbors.threads import take_threads
 
 # Rows a thread sends through all layers at a time: their numbers stay in the first cache.
@@ -27,9 +28,10 @@ _ROWS = 160
 
 
 @final
-class Perceptron(nn.Sequential):
+class Perceptron(nn.ModuleList):
     """Linear layers, tanh after each but the last (the paper's FCN).
 
+    The first, which is fed with places, and the last, which gives the motion, are precise.
     Without gradients on the CPU, rows go through all layers in blocks that stay in the cache,
     with a tanh that is off by 5e-7 at most.
 
@@ -39,9 +41,10 @@ class Perceptron(nn.Sequential):
 
     def __init__(self, widths: Sequence[int]) -> None:
         layers: list[nn.Module] = []
-        for before, after in pairwise(widths):
-            layers += [nn.Linear(before, after), nn.Tanh()]
-        super().__init__(*layers[:-1])
+        for number, (before, after) in enumerate(pairwise(widths)):
+            outer = number in (0, len(widths) - 2)
+            layers += [(PreciseLinear if outer else nn.Linear)(before, after), nn.Tanh()]
+        super().__init__(layers[:-1])
         self.widths = tuple(widths)
 
     def forward(  # type: ignore[override]  # two inputs, where Sequential has one
@@ -59,6 +62,10 @@ class Perceptron(nn.Sequential):
             for layer in self:
                 rows = layer(rows)
             return rows
+        with torch.autocast(own.device.type, enabled=False):
+            return self._compiled(own, context)
+
+    def _compiled(self, own: Tensor, context: Tensor) -> Tensor:
         linear = [layer for layer in self if isinstance(layer, nn.Linear)]
         weights: list[Tensor] = [layer.weight for layer in linear]
         biases: list[Tensor] = [layer.bias for layer in linear]

@@ -13,6 +13,7 @@ from torch_scatter import gather_csr, segment_csr
 
 from fluidsnet.features.dense import compiled_path_for
 from fluidsnet.features.fused_voxel import cell_means
+from fluidsnet.features.norm import BatchNorm
 from fluidsnet.particles import Particles
 
 #: Number of cells of the background grid along x, y and z.
@@ -80,7 +81,7 @@ class VoxelFeatureLayer(nn.Module):
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
         self.linear = nn.Linear(inputs, outputs // 2)
-        self.norm = nn.BatchNorm1d(outputs // 2)
+        self.norm = BatchNorm(outputs // 2)
 
     def forward(self, own: Tensor, shared: Tensor, offset: Tensor) -> tuple[Tensor, Tensor]:
         """The particles' own results, (N, outputs / 2), and their cells' means, (C, outputs / 2).
@@ -94,7 +95,7 @@ class VoxelFeatureLayer(nn.Module):
         of_cells = nn.functional.linear(shared, weight[:, own.shape[1] :], self.linear.bias)
         # Unlike plain indexing, this has a backward pass that adds up rows in order.
         values = own @ weight[:, : own.shape[1]].T + gather_csr(of_cells, offset)
-        own = torch.tanh(self._normalised(values))
+        own = torch.tanh(self.norm(values))
         return own, segment_csr(own, offset, reduce="mean")
 
     def folded(self) -> tuple[Tensor, Tensor]:
@@ -104,19 +105,6 @@ class VoxelFeatureLayer(nn.Module):
         scale = norm.weight / (norm.running_var + norm.eps).sqrt()
         bias = (self.linear.bias - norm.running_mean) * scale + norm.bias
         return self.linear.weight * scale[:, None], bias
-
-    def _normalised(self, values: Tensor) -> Tensor:
-        if self.training and len(values) < 2:
-            # One particle has no variance; the running statistics serve.
-            return nn.functional.batch_norm(
-                values,
-                self.norm.running_mean,
-                self.norm.running_var,
-                self.norm.weight,
-                self.norm.bias,
-            )
-        normalised: Tensor = self.norm(values)
-        return normalised
 
 
 @final
@@ -152,7 +140,9 @@ class VoxelFeature(nn.Module):
         own = features.index_select(0, cells.order)
         # The first layer has nothing of the cells yet.
         shared = own.new_empty(len(cells.cell), 0)
-        for layer in self.layers:
-            own, shared = layer(own, shared, cells.offset)
+        # Places come in, and a sum of hundreds in bfloat16 would stop at 256 times its addends.
+        with torch.autocast(features.device.type, enabled=False):
+            for layer in self.layers:
+                own, shared = layer(own, shared, cells.offset)
         # The mean over a cell of what its particles share is that itself.
         return torch.cat([shared, shared], dim=1)

@@ -15,9 +15,11 @@ from fluidsnet.particles import Particles
 class PositionError(FrameMean):
     """Mean Euclidean distance ‖x̂ - x‖, mm."""
 
-    def update(self, predicted: Tensor, true: Tensor, particles: Particles) -> None:
-        """Adds a batch: predicted and true positions (N, 3), m, of these particles."""
-        self.add(distance_mm(predicted, true), particles)
+    def update(
+        self, predicted: Tensor, true: Tensor, particles: Particles, simulation: Tensor
+    ) -> None:
+        """Adds a batch: predicted and true positions (N, 3), m; `simulation` as in `add`."""
+        self.add(distance_mm(predicted, true), particles, simulation)
 
 
 def distance_mm(predicted: Tensor, true: Tensor) -> Tensor:

@@ -60,7 +60,7 @@ class RolloutErrors:
         )
         errors = [distance_mm(guess.position, position).mean() for guess in guesses]
         errors.append(escaped(state))
-        return torch.nan_to_num(torch.stack(errors), nan=torch.inf)
+        return torch.nan_to_num(torch.stack(errors), nan=torch.inf, posinf=torch.inf)
 
 
 def escaped(particles: Particles) -> Tensor:

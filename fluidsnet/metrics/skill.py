@@ -7,8 +7,9 @@ from typing import final
 import torch
 from torch import Tensor
 from torchmetrics import Metric
+from torchmetrics.utilities import dim_zero_cat
 
-from fluidsnet.metrics.frame_mean import frame_means
+from fluidsnet.metrics.frame_mean import frame_means, simulation_mean
 from fluidsnet.metrics.velocity_mse import squared_error
 from fluidsnet.particles import Particles
 from fluidsnet.trivial import ballistic, constant_velocity
@@ -23,30 +24,36 @@ class Skill(Metric):
 
     full_state_update = False
 
-    totals: Tensor
+    errors: list[Tensor]
+    simulations: list[Tensor]
 
     def __init__(self) -> None:
         super().__init__()
         # Of the prediction, of constant velocity, of ballistic, on the same frames.
-        self.add_state("totals", torch.zeros(3, dtype=torch.float64), dist_reduce_fx="sum")
+        self.add_state("errors", [], dist_reduce_fx="cat")
+        self.add_state("simulations", [], dist_reduce_fx="cat")
 
-    def update(self, predicted: Tensor, true: Tensor, particles: Particles) -> None:
+    def update(
+        self, predicted: Tensor, true: Tensor, particles: Particles, simulation: Tensor
+    ) -> None:
         """Adds a batch.
 
         Args:
             predicted: (N, 3) velocities one step later, m/s.
             true: (N, 3) as the data have them, m/s.
             particles: the true state that the prediction was made from.
+            simulation: (F,) int64, which one each frame is of.
         """
         guesses = (
             predicted,
             constant_velocity(particles).velocity,
             ballistic(particles).velocity,
         )
-        self.totals += torch.stack(
-            [frame_means(squared_error(guess, true), particles).sum() for guess in guesses]
-        )
+        errors = [frame_means(squared_error(guess, true), particles) for guess in guesses]
+        self.errors.append(torch.stack(errors, dim=1))
+        self.simulations.append(simulation)
 
     def compute(self) -> Tensor:
         """The skill over the frames so far."""
-        return (1 - self.totals[0] / self.totals[1:].min()).float()
+        means = simulation_mean(dim_zero_cat(self.errors), dim_zero_cat(self.simulations))
+        return (1 - means[0] / means[1:].min()).float()

@@ -14,9 +14,11 @@ from fluidsnet.particles import Particles
 class VelocityMSE(FrameMean):
     """Mean of (v̂ - v)² per component, m²/s²."""
 
-    def update(self, predicted: Tensor, true: Tensor, particles: Particles) -> None:
-        """Adds a batch: predicted and true velocities (N, 3), m/s, of these particles."""
-        self.add(squared_error(predicted, true), particles)
+    def update(
+        self, predicted: Tensor, true: Tensor, particles: Particles, simulation: Tensor
+    ) -> None:
+        """Adds a batch: predicted and true velocities (N, 3), m/s; `simulation` as in `add`."""
+        self.add(squared_error(predicted, true), particles, simulation)
 
 
 def squared_error(predicted: Tensor, true: Tensor) -> Tensor:

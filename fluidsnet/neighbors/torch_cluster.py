@@ -16,7 +16,7 @@ class TorchCluster(NeighborSearch):
     """torch-cluster's ``knn``: a k-d tree on the CPU, every pair on a GPU.
 
     Its radius search is not used: beyond its cap it keeps arbitrary neighbors, not the
-    nearest.
+    nearest. Of neighbors that are equally far at the cap, it keeps whichever it finds first.
     """
 
     def __call__(self, particles: Particles) -> Neighbors:

@@ -10,8 +10,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from datamodules.generate.dataset import Recipe
 from datamodules.generate.job import SolverName
+from datamodules.generate.recipe import Recipe
 from datamodules.generate.scenes import CLEARANCE, DamBreak, Vector
 from datamodules.schema import COMPRESSION, Header, create_frames
 

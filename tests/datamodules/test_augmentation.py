@@ -41,6 +41,7 @@ def transitions(make_particles: Make, scene: Scene) -> Transitions:
         state=state,
         next_position=state.position + steps * state.velocity,
         next_velocity=state.velocity.expand(2, -1, -1) + steps * scene.gravity,
+        simulation=torch.arange(state.frames),
     )
 
 
@@ -62,6 +63,7 @@ def in_box(transitions: Transitions, upper: tuple[float, float, float]) -> Trans
         ),
         next_position=place(transitions.next_position),
         next_velocity=transitions.next_velocity * scale,
+        simulation=transitions.simulation,
     )
 
 
@@ -176,6 +178,9 @@ def test_gravity_along_no_single_axis_is_refused(
 
 def test_only_training_is_augmented(sample: Path) -> None:
     class Zero(Augmentation):
+        def check(self, scene: Scene) -> None:
+            assert float(scene.gravity[1]) < 0
+
         def __call__(self, sample: Transitions) -> Transitions:
             state = sample.state
             return replace(sample, state=state.moved(0 * state.position, 0 * state.velocity))

@@ -131,6 +131,28 @@ def test_a_frame_that_cannot_be_read_is_named(copy: Path) -> None:
         describe(copy)
 
 
+@pytest.mark.parametrize("error", [OSError, KeyError, RuntimeError])
+def test_whatever_h5py_raises_is_damage(
+    copy: Path, error: type[Exception], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(self: h5py.Dataset, index: object) -> None:
+        raise error("a bad sector")
+
+    monkeypatch.setattr(h5py.Dataset, "__getitem__", fails)
+    with pytest.raises(UserError, match=r"train\.h5: .*damaged .*a bad sector"):
+        describe(copy)
+
+
+def test_what_only_the_generator_writes_may_be_missing(copy: Path) -> None:
+    with h5py.File(copy, "a") as file:
+        for group in file.values():
+            for name in ("seed", "scene_parameters", "threads"):
+                del group.attrs[name]
+    text = describe(copy)
+    assert row(text, "00000")[7] == "(?)"
+    assert text.endswith("nothing suspicious")
+
+
 def test_several_files_make_several_pages(sample: Path, capsys: pytest.CaptureFixture[str]) -> None:
     inspect_command([str(sample / "train.h5"), str(sample / "val.h5")])
     out = capsys.readouterr().out

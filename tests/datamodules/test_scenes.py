@@ -17,6 +17,7 @@ from datamodules.generate.scenes import (
     DropPool,
     SceneKind,
 )
+from fluidsnet.errors import UserError
 
 SEEDS = 200
 
@@ -50,6 +51,15 @@ def test_bodies_keep_clear_of_the_walls(name: str) -> None:
         lower, upper = body.bounds()
         assert (lower >= CLEARANCE * radius - 1e-8).all()
         assert (upper <= np.array(kind.domain) - CLEARANCE * radius + 1e-8).all()
+
+
+def test_a_block_has_two_layers_at_least() -> None:
+    # The solver leaves a single one out: a thin pool would be none.
+    kind = DropPool((1.75, 1.75, 1.75), pool=(0.01, 0.01))
+    pool, _ = kind.sample(np.random.default_rng(0), 0.05)
+    assert np.isclose(pool.bounds()[1][1] - pool.bounds()[0][1], 4 * 0.05)
+    with pytest.raises(UserError, match=r"particle_radius is 0\.4; .* do not fit into a domain"):
+        kind.sample(np.random.default_rng(0), 0.4)
 
 
 @pytest.mark.parametrize("name", SCENES)

@@ -28,14 +28,14 @@ def panel(speed: float, position: NDArray[Any] | None = None, title: str = "") -
 
 
 def halves(path: Path) -> tuple[NDArray[Any], NDArray[Any]]:
-    """The left and the right panel of a picture with one row, without the colour bar."""
+    """The left and the right panel of a picture with one row, without the color bar."""
     picture = matplotlib.image.imread(path)[..., :3]
     width = (picture.shape[1] - 110) // 2
     return picture[45:, :width], picture[45:, width : 2 * width]
 
 
 def fluid(picture: NDArray[Any]) -> NDArray[Any]:
-    """The colours (n, 3) of the pixels with a particle: more blue than any line or background."""
+    """The colors (n, 3) of the pixels with a particle: more blue than any line or background."""
     return picture[picture[..., 2] > 0.45]
 
 
@@ -61,13 +61,13 @@ def test_equal_speeds_look_equal_and_a_scale_can_be_given(tmp_path: Path) -> Non
 
 def test_y_is_up_and_x_goes_right(tmp_path: Path) -> None:
     path = tmp_path / "picture.png"
-    centres = []
+    centers = []
     for offset in ([0, -0.2, 0], [0, 0.2, 0], [0.3, 0, 0]):
         moved = (block(6) + np.array(offset)).astype(np.float32)
         side_by_side(path, [panel(0.0, moved)] * 2, LOWER, UPPER, RADIUS)
         left, _ = halves(path)
-        centres.append(np.argwhere(left[..., 2] > 0.45).mean(axis=0))
-    low, high, right = centres
+        centers.append(np.argwhere(left[..., 2] > 0.45).mean(axis=0))
+    low, high, right = centers
     assert high[0] < low[0] - 50
     assert high[1] == pytest.approx(low[1], abs=8)
     assert right[1] > low[1] + 50

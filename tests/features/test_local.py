@@ -87,7 +87,7 @@ def test_messages_tell_a_dense_neighborhood_from_a_thin_one(make_particles: Make
     assert torch.allclose(averaged[0], averaged[1], atol=1e-6)
 
 
-def test_inputs_are_normalised_by_the_scene(make_particles: Make) -> None:
+def test_inputs_are_normalized_by_the_scene(make_particles: Make) -> None:
     particles = make_particles((2, 0))
     device = particles.position.device
     corners = torch.stack([particles.scene.domain_lower, particles.scene.domain_upper])

@@ -12,6 +12,11 @@ from fluidsnet.particles import Particles
 Make = Callable[..., Particles]
 
 
+def _numbers(particles: Particles, *numbers: int) -> torch.Tensor:
+    """Which simulation each frame is of; all of one by default."""
+    return torch.tensor(numbers or (0,) * particles.frames, device=particles.position.device)
+
+
 def test_velocity_mse_by_hand(make_particles: Make) -> None:
     # A frame of one particle weighs as much as a frame of three.
     particles = make_particles((1, 0), (3, 0))
@@ -20,7 +25,7 @@ def test_velocity_mse_by_hand(make_particles: Make) -> None:
     wrong[0] += torch.tensor([3.0, 0.0, 0.0], device=true.device)
     wrong[1] += torch.tensor([0.0, 6.0, 0.0], device=true.device)
     metric = VelocityMSE().to(true.device)
-    metric.update(wrong, true, particles)
+    metric.update(wrong, true, particles, _numbers(particles))
     # Frame one: 9 / 3 = 3. Frame two: 36 / 3 = 12, over three particles 4.
     assert float(metric.compute()) == pytest.approx((3 + 4) / 2)
 
@@ -29,8 +34,8 @@ def test_position_error_by_hand(make_particles: Make) -> None:
     particles = make_particles((2, 0), (1, 0))
     wrong = particles.position + torch.tensor([0.003, 0.0, 0.004], device=particles.position.device)
     metric = PositionError().to(wrong.device)
-    metric.update(wrong, particles.position, particles)
-    metric.update(particles.position, particles.position, particles)
+    metric.update(wrong, particles.position, particles, _numbers(particles))
+    metric.update(particles.position, particles.position, particles, _numbers(particles))
     assert float(metric.compute()) == pytest.approx(2.5, rel=1e-3)
 
 
@@ -41,10 +46,10 @@ def test_skill_of_the_trivial_predictors_and_of_the_truth(make_particles: Make) 
     true = falling + 0.01 * torch.randn_like(falling)
     for predicted, expected in ((falling, 0.0), (true, 1.0)):
         metric = Skill().to(true.device)
-        metric.update(predicted, true, particles)
+        metric.update(predicted, true, particles, _numbers(particles))
         assert float(metric.compute()) == pytest.approx(expected, abs=1e-5)
     worse = Skill().to(true.device)
-    worse.update(particles.velocity, true, particles)
+    worse.update(particles.velocity, true, particles, _numbers(particles))
     assert float(worse.compute()) < -10
 
 
@@ -55,9 +60,25 @@ def test_skill_is_over_all_frames_and_not_a_mean_of_skills(make_particles: Make)
     metric = Skill().to(device)
     # Constant velocity is off by 1 and by 3, the prediction by 1 and by 0.
     up = torch.tensor([[0.0, 1.0, 0.0]], device=device)
-    metric.update(0 * up, up, still)
-    metric.update(3 * up, 3 * up, still)
+    metric.update(0 * up, up, still, _numbers(still))
+    metric.update(3 * up, 3 * up, still, _numbers(still))
     assert float(metric.compute()) == pytest.approx(1 - 1 / 10)
+
+
+def test_a_simulation_weighs_the_same_however_many_frames_it_has(make_particles: Make) -> None:
+    particles = make_particles((1, 0), (1, 0), (1, 0))
+    right, device = particles.velocity, particles.position.device
+    # Frames are off by 1, 2 and 6 m/s along each axis; the last is of another simulation.
+    wrong = right + torch.tensor([[1.0], [2.0], [6.0]], device=device)
+    first, last = VelocityMSE().to(device), VelocityMSE().to(device)
+    first.update(wrong, right, particles, _numbers(particles, 4, 4, 9))
+    assert float(first.compute()) == pytest.approx(((1 + 4) / 2 + 36) / 2, rel=1e-4)
+    # However they come.
+    for frame, number in ((2, 9), (0, 4), (1, 4)):
+        one = make_particles((1, 0))
+        there, offset = one.velocity, wrong[frame] - right[frame]
+        last.update(there + offset, there, one, _numbers(one, number))
+    assert float(last.compute()) == pytest.approx(float(first.compute()), rel=1e-4)
 
 
 @pytest.mark.parametrize("value", [torch.nan, torch.inf])
@@ -66,8 +87,8 @@ def test_what_is_not_finite_makes_the_metric_infinite(make_particles: Make, valu
     broken = particles.velocity.clone()
     broken[1, 2] = value
     mse, skill = VelocityMSE().to(broken.device), Skill().to(broken.device)
-    mse.update(broken, particles.velocity, particles)
-    skill.update(broken, particles.velocity + 1, particles)
+    mse.update(broken, particles.velocity, particles, _numbers(particles))
+    skill.update(broken, particles.velocity + 1, particles, _numbers(particles))
     assert float(mse.compute()) == torch.inf
     assert float(skill.compute()) == -torch.inf
 
@@ -98,12 +119,13 @@ def test_rollout_errors_by_hand(make_particles: Make) -> None:
             assert named["escaped"] == 0.5
 
 
+@pytest.mark.parametrize("value", [torch.nan, torch.inf, -torch.inf])
 def test_a_particle_that_is_nowhere_has_escaped_and_is_infinitely_wrong(
-    make_particles: Make,
+    make_particles: Make, value: float
 ) -> None:
     start = make_particles((4, 0))
     broken = start.position.clone()
-    broken[0, 0] = torch.nan
+    broken[0, 0] = value
     errors = RolloutErrors(start, Euler())
     found = errors.update(1, start.moved(broken, start.velocity), start.position, start.velocity)
     named = dict(zip(RolloutErrors.names, found.tolist(), strict=True))

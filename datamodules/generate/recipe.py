@@ -1,0 +1,159 @@
+"""What a data set is made from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from datamodules.generate.job import Job, SolverName
+from datamodules.generate.scene_file import PARAMETERS, SOLVER_STEPS
+from datamodules.generate.scenes import Body, SceneKind, Vector
+from datamodules.generate.symmetry import Symmetries
+from datamodules.schema import SPLITS
+from fluidsnet.errors import UserError
+
+#: So often a scene is drawn anew that is too much like another one.
+_DRAWS = 1000
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """All that decides what a data set holds; one recipe and one seed, one data set.
+
+    Attributes:
+        scene: the kind of scene, which draws the fluid.
+        particle_radius: m.
+        train: number of simulations for training.
+        val: number of simulations for validation.
+        test: number of simulations for the test.
+        frames: stored frames per simulation, the start included.
+        frame_interval: time between stored frames, s; a whole number of solver steps.
+        solver_step: the solver's fixed time step, s; 2.5 ms by default, 0.5 ms for WCSPH.
+        solver: IISPH (the paper's), WCSPH, PCISPH or DFSPH.
+        seed: every simulation draws its scene from this, its split and its own number.
+        gravity: m/s².
+        density0: rest density, kg/m³.
+        viscosity: coefficient of the solver's standard viscosity.
+        solver_parameters: of the pressure solver, as SPlisHSPlasH names them.
+    """
+
+    scene: SceneKind
+    particle_radius: float
+    train: int
+    val: int
+    test: int
+    frames: int = 1500
+    frame_interval: float = 0.0025
+    solver_step: float | None = None
+    solver: SolverName = "IISPH"
+    seed: int = 0
+    gravity: Vector = (0.0, -9.81, 0.0)
+    density0: float = 1000.0
+    viscosity: float = 0.01
+    solver_parameters: dict[str, float] | None = None
+
+    def __post_init__(self) -> None:
+        if not self.step > 0:
+            raise UserError(f"solver_step is {self.step}; it must be above zero.")
+        ratio = self.frame_interval / self.step
+        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
+            raise UserError(
+                f"frame_interval ({self.frame_interval} s) must be a whole number of "
+                f"solver steps ({self.step} s)."
+            )
+        if self.frames < 2:
+            raise UserError(f"frames is {self.frames}; a simulation needs two at least.")
+        if not self.particle_radius > 0:
+            raise UserError(f"particle_radius is {self.particle_radius}; it must be above zero.")
+        for split in SPLITS:
+            if getattr(self, split) < 0:
+                raise UserError(f"{split} is {getattr(self, split)}; it must be zero at least.")
+        if self.train + self.val + self.test == 0:
+            raise UserError("train, val and test are all zero; there is nothing to simulate.")
+
+    @property
+    def step(self) -> float:
+        """The solver's time step, s: the recipe's, or the solver's own default."""
+        return SOLVER_STEPS[self.solver] if self.solver_step is None else self.solver_step
+
+    def starts(self) -> dict[tuple[str, int], list[Body]]:
+        """What each simulation, by split and number, starts from.
+
+        Coarse particles leave few blocks to choose from, and a simulation in two splits, be it
+        mirrored or moved by less than a particle's radius, would make the test a test of memory.
+        So no two start alike in a mirror, except that training may have mirror images of its
+        own simulations, never the very same, where the kind of scene has nothing else left.
+
+        Raises:
+            UserError: the kind of scene does not have that many different starts.
+        """
+        symmetries = Symmetries(self.scene.domain, self.gravity)
+        drawn: dict[tuple[str, int], list[Body]] = {}
+        held_out: list[list[Body]] = []
+
+        def is_like(others: Iterable[list[Body]], bodies: list[Body]) -> bool:
+            return any(symmetries.alike(bodies, other, self.particle_radius) for other in others)
+
+        def is_new(bodies: list[Body]) -> bool:
+            return not is_like(drawn.values(), bodies)
+
+        def is_mirrored_in_training(bodies: list[Body]) -> bool:
+            return bodies not in drawn.values() and not is_like(held_out, bodies)
+
+        # What is held out comes first, so that it does not depend on how much is trained on.
+        for split in reversed(SPLITS):
+            wanted = is_new
+            for number in range(getattr(self, split)):
+                random = np.random.default_rng(self.entropy(split, number))
+                bodies = self._draw(random, wanted)
+                if bodies is None and split == "train" and wanted is is_new:
+                    wanted = is_mirrored_in_training
+                    bodies = self._draw(random, wanted)
+                if bodies is None:
+                    raise UserError(
+                        f"{type(self.scene).__name__} draws too few scenes that are no mirror "
+                        f"images of each other: {len(drawn)} were found for the "
+                        f"{self.train + self.val + self.test} simulations; take smaller "
+                        "particles, wider ranges or fewer simulations."
+                    )
+                drawn[split, number] = bodies
+            if split != "train":
+                held_out = list(drawn.values())
+        return drawn
+
+    def _draw(
+        self, random: np.random.Generator, wanted: Callable[[list[Body]], bool]
+    ) -> list[Body] | None:
+        """A scene that is wanted, or None where there seems to be none."""
+        for _ in range(_DRAWS):
+            bodies = self.scene.sample(random, self.particle_radius)
+            if wanted(bodies):
+                return bodies
+        return None
+
+    def entropy(self, split: str, number: int) -> list[int]:
+        """The seed of a simulation."""
+        return [self.seed, SPLITS.index(split), number]
+
+    def job(self, split: str, number: int, bodies: list[Body], output: Path, threads: int) -> Job:
+        """The simulation of this number in a split, from one of the `starts`."""
+        return Job(
+            output=str(output),
+            scene=type(self.scene).__name__,
+            solver=self.solver,
+            domain=self.scene.domain,
+            particle_radius=self.particle_radius,
+            gravity=self.gravity,
+            density0=self.density0,
+            viscosity=self.viscosity,
+            solver_step=self.step,
+            steps_per_frame=round(self.frame_interval / self.step),
+            frames=self.frames,
+            seed=self.entropy(split, number),
+            bodies=bodies,
+            threads=threads,
+            parameters={**PARAMETERS[self.solver], **(self.solver_parameters or {})},
+        )

@@ -1,0 +1,59 @@
+"""Batch norm for rows that several processes share."""
+
+from __future__ import annotations
+
+from typing import final
+
+import torch
+from torch import Tensor, nn
+
+from fluidsnet.processes import processes, sum_over_processes
+
+
+@final
+class BatchNorm(nn.BatchNorm1d):
+    """Batch norm over the rows of all processes, so that DDP trains as one process would.
+
+    torch's own of this kind, SyncBatchNorm, is for GPUs alone. In training, mean and variance
+    are those of all rows, in two passes: first the mean, then the squares about it, which
+    loses nothing where the mean is large. A process may have no rows, but must call it as
+    often as the others. Where all together have fewer than two rows, which have no variance,
+    the running statistics serve. Weights and running statistics are `nn.BatchNorm1d`'s.
+
+    Args:
+        width: of the rows.
+    """
+
+    def __init__(self, width: int) -> None:
+        super().__init__(width)
+
+    def forward(self, rows: Tensor) -> Tensor:
+        """The rows (N, width), normalised."""
+        if self.training and processes() > 1:
+            return self._shared(rows)
+        if self.training and len(rows) < 2:
+            return nn.functional.batch_norm(
+                rows, self.running_mean, self.running_var, self.weight, self.bias, eps=self.eps
+            )
+        normalised: Tensor = super().forward(rows)
+        return normalised
+
+    def _shared(self, rows: Tensor) -> Tensor:
+        assert self.running_mean is not None and self.running_var is not None
+        assert self.momentum is not None and self.num_batches_tracked is not None
+        values = rows.to(self.weight.dtype)
+        own = torch.cat([values.sum(dim=0), values.new_full((1,), len(values))])
+        sums = sum_over_processes(own)
+        total, count = sums[:-1], sums[-1]
+        # Chosen on the device: to ask how many there are would make a GPU wait.
+        enough = count > 1
+        mean = torch.where(enough, total / count.clamp_min(1), self.running_mean)
+        centered = values - mean
+        squares = sum_over_processes(centered.square().sum(dim=0))
+        variance = torch.where(enough, squares / count.clamp_min(1), self.running_var)
+        with torch.no_grad():
+            unbiased = variance * (count / (count - 1)).where(enough, 1)
+            self.running_mean.lerp_(mean, self.momentum)
+            self.running_var.lerp_(unbiased, self.momentum)
+            self.num_batches_tracked += 1
+        return (centered * (variance + self.eps).rsqrt() * self.weight + self.bias).to(rows.dtype)
