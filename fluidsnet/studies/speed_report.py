@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from callbacks.table import Cell, markdown
+from fluidsnet.studies.machine import BUSY
 from fluidsnet.studies.paper_tables import BATCHES, HARDWARE, LARGE
 from fluidsnet.studies.speed_row import Row, Spread, speed_up
 from fluidsnet.studies.trial import STAGES
@@ -41,7 +42,7 @@ class Report:
 
     Attributes:
         header: what it was measured on and how, a line each.
-        warnings: what may have spoilt it.
+        busy_before: cores that others took before the first measurement.
         rows: a size and a way each.
         batches: the paper's Table 3.
         floors: bytes and operations of a step, and the least s they take, by particles.
@@ -49,7 +50,7 @@ class Report:
     """
 
     header: list[str] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
+    busy_before: float = 0.0
     rows: list[Row] = field(default_factory=list)
     batches: list[Batch] = field(default_factory=list)
     floors: dict[int, dict[str, float]] = field(default_factory=dict)
@@ -59,6 +60,25 @@ class Report:
         """The solver's row of the same size."""
         same = (one for one in self.rows if one.who == name and one.particles == row.particles)
         return next(same, None)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What may have spoilt the times."""
+        found = []
+        if self.busy_before > BUSY:
+            found.append(
+                f"the machine was busy before the first measurement: others took "
+                f"{self.busy_before:.1f} cores."
+            )
+        busy = [row for row in self.rows if row.others > BUSY]
+        if busy:
+            names = "; ".join(f"{row.particles:,} {row.way}" for row in busy)
+            found.append(
+                f"the machine was busy during {len(busy)} of {len(self.rows)} measurements, "
+                f"others took up to {max(row.others for row in busy):.1f} cores; do not trust "
+                f"the times of: {names}."
+            )
+        return found
 
     def write(self, folder: Path) -> str:
         """Writes ``speed.md`` and ``speed.csv``; returns the Markdown."""

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
@@ -66,6 +67,11 @@ class Run:
     def measure(self) -> None:
         """Measures, and writes tables and figure after each measurement."""
         self.report.header = self._header()
+        with OtherLoad() as before:
+            time.sleep(1.0)
+        self.report.busy_before = before.cores
+        for words in self.report.warnings:
+            print(f"WARNING: {words}", file=sys.stderr)
         sizes = sorted(self.particles)
         scenes = [particles for _, particles, *_ in BATCHES] if self.batch else []
         each = 1 + len(self.solvers) + len(list(self._ways()))
@@ -253,14 +259,11 @@ class Run:
 
     def _check(self, row: Row) -> None:
         if row.others > BUSY:
-            self._warn(
-                f"the machine was busy: {row.others:.1f} cores were taken by others during "
-                f"{row.particles:,} particles, {row.way}; do not trust its times."
+            tqdm.write(
+                f"WARNING: others took {row.others:.1f} cores during {row.particles:,} "
+                f"particles, {row.way}.",
+                file=sys.stderr,
             )
-
-    def _warn(self, words: str) -> None:
-        self.report.warnings.append(words)
-        tqdm.write(f"WARNING: {words}", file=sys.stderr)
 
     def _write(self) -> None:
         folder = Path(self.output)
