@@ -1,6 +1,7 @@
 """Lightning callbacks, one behavior a file."""
 
 from callbacks.one_step_table import OneStepTable as OneStepTable
+from callbacks.rollout_metrics import RolloutMetrics as RolloutMetrics
 from callbacks.rollout_picture import RolloutPicture as RolloutPicture
 from callbacks.rollout_progress import RolloutProgress as RolloutProgress
 from callbacks.rollout_table import RolloutTable as RolloutTable
