@@ -26,11 +26,14 @@ STEPS = (1, 2, 5, 10, 25, 50, 100)
 class RolloutMetrics(Callback):
     """Rolls the network out on held-out simulations and logs every metric of the rollouts.
 
-    In validation `rollout/<metric>/<steps>`, which a ModelCheckpoint can monitor, and the
-    trivial predictors' and the integrator's floor as `rollout/<metric>/<steps>/<predictor>`;
-    these are measured once, as they do not change. In `test` the same under `test_rollout/`;
-    `rollout_metrics.md` and `.csv` in the run's folder, a row a predictor and number of steps;
-    and `rollout_metrics.png`, the errors and energies against time, also in TensorBoard.
+    In validation `rollout/<metric>/<steps>`, which a ModelCheckpoint can monitor where every
+    validation rolls out, and the trivial predictors and the integrator's floor as
+    `rollout/<metric>/<steps>/<predictor>`; these are measured once, as they do not change. It
+    comes before callbacks that swap weights for validation, or it measures the others.
+
+    In `test` the same under `test_rollout/`; `rollout_metrics.md` and `.csv` in the run's
+    folder, a row a predictor and number of steps; and `rollout_metrics.png`, the errors and
+    energies against time, also in TensorBoard.
 
     A rollout goes as far as it is asked to or as its truth goes, whichever is less; after some
     steps fewer simulations may be left, and the table says how many. One that turns
@@ -53,7 +56,7 @@ class RolloutMetrics(Callback):
         simulations: how many are rolled out, from the file's first on; all by default.
         every_n_validations: in training, how often one rolls out; 0 for none in any.
         costly_steps: after which chamfer, sinkhorn and density are taken, and after the last
-            step too. At these they cost less than the rollout itself.
+            step too. At these of 100 steps all metrics cost less than the rollout itself.
 
     Raises:
         UserError: an argument cannot be used.
@@ -79,6 +82,10 @@ class RolloutMetrics(Callback):
                 f"RolloutMetrics: starts is {list(starts)}; whole numbers are frames, fractions "
                 "are shares of a simulation, from 0.0 to below 1, and there must be one."
             )
+        if any(step < 1 for step in costly_steps):
+            raise UserError(
+                f"RolloutMetrics: costly_steps is {list(costly_steps)}; the first step is 1."
+            )
         self.steps, self.starts, self.simulations = steps, starts, simulations
         self.every_n_validations, self.costly_steps = every_n_validations, costly_steps
         self._validations = 0
@@ -98,6 +105,8 @@ class RolloutMetrics(Callback):
                 "RolloutMetrics needs a data module with rollout_starts, such as SPHDataModule."
             )
         self._validations, self._suite = 0, None
+        # Asked for by all processes, since they agree on it.
+        self._folder = run_folder(trainer)
 
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Rolls out, if it is this validation's turn, and logs."""
@@ -122,7 +131,7 @@ class RolloutMetrics(Callback):
         scalars = self._scalars(figures, longest)
         self._log(trainer, "test_rollout", {"": scalars.pop("model"), **scalars})
         time_step: float = starts[0].state.scene.time_step
-        path = run_folder(trainer) / "rollout_metrics"
+        path = self._folder / "rollout_metrics"
         text = write_rollout_metrics(path, figures, starts, _rows(longest), time_step)
         draw_curves(path.with_suffix(".png"), figures, time_step, trainer.logger)
         print(f"\n{text}\n{path}.md\n{path}.png")
