@@ -2,6 +2,7 @@
 
 from callbacks.compiled_network import CompiledNetwork as CompiledNetwork
 from callbacks.one_step_table import OneStepTable as OneStepTable
+from callbacks.rollout_metrics import RolloutMetrics as RolloutMetrics
 from callbacks.rollout_picture import RolloutPicture as RolloutPicture
 from callbacks.rollout_progress import RolloutProgress as RolloutProgress
 from callbacks.rollout_table import RolloutTable as RolloutTable

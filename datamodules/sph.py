@@ -12,11 +12,11 @@ from typing import Any, Literal, final
 
 import torch
 from lightning import LightningDataModule
-from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from datamodules.augmentation import Augmentation
 from datamodules.reader import FrameReader
+from datamodules.rollout_starts import RolloutStarts, SimulationTruth
 from datamodules.sampler import each_once
 from datamodules.schema import SPLITS
 from fluidsnet.errors import UserError
@@ -79,26 +79,6 @@ class TransitionDataset(Dataset[Transitions]):
             simulation=torch.tensor([self._numbers[reader.path, simulation]]),
         )
         return transitions if self.augmentation is None else self.augmentation(transitions)
-
-
-@final
-class SimulationTruth:
-    """The states of a simulation, a stride apart, read one at a time.
-
-    Args:
-        reader: of its file.
-        simulation: its name.
-        stride: frames from a state to the next.
-    """
-
-    def __init__(self, reader: FrameReader, simulation: str, stride: int) -> None:
-        self.reader, self.simulation, self.stride = reader, simulation, stride
-
-    def __len__(self) -> int:
-        return (self.reader.frames[self.simulation] - 1) // self.stride + 1
-
-    def __getitem__(self, step: int) -> tuple[Tensor, Tensor]:
-        return self.reader.fluid(self.simulation, step * self.stride)
 
 
 @final
@@ -264,6 +244,26 @@ class SPHDataModule(LightningDataModule):
     def predict_dataloader(self) -> DataLoader[RolloutStart]:
         dataset = RolloutDataset(self._reader("test"), self.stride, self.rollout_steps)
         return DataLoader(dataset, batch_size=None, sampler=each_once(dataset))
+
+    def rollout_starts(
+        self,
+        split: Literal["val", "test"],
+        frames: Sequence[int | float] = (0,),
+        steps: int | None = None,
+        simulations: int | None = None,
+    ) -> RolloutStarts:
+        """Starts in the simulations of a split's file, and the truth from there on.
+
+        Args:
+            split: val.h5 or test.h5, also where `split_by` is `frame`: val.h5 is then not held out.
+            frames: where rollouts start, as `RolloutStarts` has it.
+            steps: of each rollout; it ends where the truth does, and there by default.
+            simulations: how many, from the file's first on; all by default.
+
+        Raises:
+            UserError: no rollout can start there.
+        """
+        return RolloutStarts(self._reader(split), self.stride, frames, steps, simulations)
 
     def transfer_batch_to_device(
         self, batch: Any, device: torch.device, dataloader_idx: int

@@ -164,3 +164,25 @@ class RolloutStart(_Batch):
     state: Particles
     steps: int
     truth: Truth
+
+
+class RolloutStarts(Protocol):
+    """Rollouts that can be compared with the truth; each start is read when it is asked for.
+
+    Attributes:
+        names: the simulation of each start.
+        first: the frame of each start.
+        steps: of each rollout, all with a truth.
+    """
+
+    names: list[str]
+    first: list[int]
+    steps: list[int]
+
+    def __len__(self) -> int:
+        """Number of rollouts."""
+        ...
+
+    def __getitem__(self, index: int) -> RolloutStart:
+        """One of them, on the CPU."""
+        ...

@@ -19,7 +19,14 @@ from torch import Tensor
 from torch.optim import SGD
 from torch.utils.data import DataLoader
 
-from callbacks import OneStepTable, RolloutPicture, RolloutProgress, RolloutTable, TrajectoryWriter
+from callbacks import (
+    OneStepTable,
+    RolloutMetrics,
+    RolloutPicture,
+    RolloutProgress,
+    RolloutTable,
+    TrajectoryWriter,
+)
 from datamodules import SPHDataModule
 from datamodules.sampler import each_once
 from fluidsnet import FluidsNet
@@ -85,7 +92,9 @@ def fit(root: Path, folder: Path, processes: int) -> None:
         enable_progress_bar=False,
         enable_model_summary=False,
         callbacks=[
-            OneStepTable(), RolloutProgress(), TrajectoryWriter(), RolloutTable(), RolloutPicture(),
+            # To validate there is one simulation: one process of two has no rollout.
+            OneStepTable(), RolloutMetrics(steps=2, simulations=None, every_n_validations=1),
+            RolloutProgress(), TrajectoryWriter(), RolloutTable(), RolloutPicture(),
         ],
     )  # fmt: skip
     trainer.fit(model, data)

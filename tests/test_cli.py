@@ -67,6 +67,10 @@ def test_every_model_trains_is_tested_and_rolls_out(
     with (folder / "one_step.csv").open() as file:
         rows = list(csv.reader(file))
     assert [row[0] for row in rows[1:]] == ["model", "constant velocity", "ballistic"]
+    with (folder / "rollout_metrics.csv").open() as file:
+        measured = [(row["predictor"], row["steps"]) for row in csv.DictReader(file)]
+    assert ("model", "1") in measured and ("truth", "25") in measured
+    assert (folder / "rollout_metrics.png").exists()
     printed = capsys.readouterr().out
     assert (folder / "one_step.md").read_text() in printed
     run("predict", more=(f"--run={folder}", "--data.init_args.rollout_steps=3"))

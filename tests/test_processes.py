@@ -62,6 +62,7 @@ def test_processes_draw_other_random_numbers(folders: tuple[Path, Path]) -> None
 def test_two_processes_measure_every_frame_once(folders: tuple[Path, Path]) -> None:
     one, two = (json.loads((folder / "metrics.json").read_text()) for folder in folders)
     assert {"val/loss", "val/skill", "test/model/velocity_mse"} <= one.keys()
+    assert {"rollout/position_error_mm/2", "rollout/density_error/2"} <= one.keys()
     for name, expected in one.items():
         assert two[name] == pytest.approx(expected, rel=1e-4), name
 
@@ -71,7 +72,7 @@ def test_fewer_samples_than_processes_are_refused(folders: tuple[Path, Path]) ->
     assert said.startswith("There are 2 processes for 1 samples or simulations")
 
 
-@pytest.mark.parametrize("table", ["one_step", "rollout"])
+@pytest.mark.parametrize("table", ["one_step", "rollout", "rollout_metrics"])
 def test_two_processes_write_the_same_tables(folders: tuple[Path, Path], table: str) -> None:
     one, two = (
         list(csv.reader((folder / "run" / f"{table}.csv").read_text().splitlines()))

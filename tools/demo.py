@@ -59,6 +59,7 @@ The demo took {ended - started:.0f} s: data {made - started:.0f} s, training \
 {trained - made:.0f} s, test and rollouts {ended - trained:.0f} s.
 
   one step beside trivial predictors  {RUN}/one_step.md
+  every metric of the rollouts        {RUN}/rollout_metrics.md and .png
   errors of the rollouts              {RUN}/rollout.md
   truth and prediction side by side   {RUN}/rollout.png
   rollouts for ParaView               {RUN}/rollouts/*.vtkhdf

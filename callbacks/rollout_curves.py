@@ -1,0 +1,74 @@
+"""Errors and energies of rollouts against time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib.image
+import numpy as np
+from lightning.pytorch.loggers import TensorBoardLogger
+from matplotlib.figure import Figure
+
+from fluidsnet.metrics.rollout_suite import Figures
+
+_COLORS = {
+    "model": "#1f63ea",
+    "integrator_floor": "#888888",
+    "constant_velocity": "#e08214",
+    "ballistic": "#b2182b",
+    "truth": "#111111",
+}
+# A metric's name, the axis's label, whose curves are drawn, whether the axis is logarithmic.
+_PANELS = (
+    (
+        "position_error_mm",
+        "position error, mm",
+        ("model", "integrator_floor", "constant_velocity", "ballistic"),
+        True,
+    ),
+    ("kinetic_energy_j_per_kg", "kinetic energy, J/kg", ("truth", "model"), False),
+    ("center_of_mass", "center of mass, relative error", ("model", "constant_velocity"), True),
+)
+
+
+def draw_curves(path: Path, figures: Figures, time_step: float, logger: Any) -> None:
+    """Draws error, energy and center of mass against time to a PNG file and to TensorBoard.
+
+    What is not finite has no line; the title of its panel says from when on.
+
+    Args:
+        path: of the picture.
+        figures: of the rollouts.
+        time_step: s.
+        logger: the trainer's; TensorBoard's gets the picture.
+    """
+    figure = Figure(figsize=(15, 4.2), dpi=100, layout="constrained")
+    for axes, (name, label, predictors, logarithmic) in zip(
+        figure.subplots(1, len(_PANELS)), _PANELS, strict=True
+    ):
+        for predictor in predictors:
+            values = figures[predictor][name].cpu().numpy()
+            time = time_step * np.arange(1, len(values) + 1)
+            # A floor of zero has no place on a logarithmic axis.
+            drawn = np.where(
+                np.isfinite(values) & ((values > 0) | (not logarithmic)), values, np.nan
+            )
+            axes.plot(
+                time,
+                drawn,
+                color=_COLORS[predictor],
+                label=predictor.replace("_", " "),
+                marker="." if len(values) == 1 else None,
+            )
+            if predictor == "model" and np.isinf(values).any():
+                axes.set_title(f"model not finite from {time[np.isinf(values).argmax()]:g} s on")
+        axes.set(xlabel="time, s", ylabel=label, yscale="log" if logarithmic else "linear")
+        axes.grid(alpha=0.3)
+        axes.legend()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path)
+    if isinstance(logger, TensorBoardLogger):
+        logger.experiment.add_image(
+            "test_rollout/curves", matplotlib.image.imread(path)[..., :3], dataformats="HWC"
+        )

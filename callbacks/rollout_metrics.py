@@ -1,0 +1,220 @@
+"""Rollouts measured in validation and test."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import torch
+from lightning import Callback, LightningModule, Trainer
+from tqdm import tqdm
+
+from callbacks.folder import run_folder
+from callbacks.rollout_curves import draw_curves
+from callbacks.rollout_metrics_table import write_rollout_metrics
+from fluidsnet.errors import UserError
+from fluidsnet.metrics.baselines import Baselines
+from fluidsnet.metrics.rollout_suite import Figures, RolloutSuite
+from fluidsnet.module import FluidsNet
+from fluidsnet.particles import RolloutStarts
+from fluidsnet.rollout import rollout
+
+#: Numbers of steps that are logged and have a row, beside the last step.
+STEPS = (1, 2, 5, 10, 25, 50, 100)
+
+
+class RolloutMetrics(Callback):
+    """Rolls the network out on held-out simulations and logs every metric of the rollouts.
+
+    In validation `rollout/<metric>/<steps>`, which a ModelCheckpoint can monitor where every
+    validation rolls out, and the trivial predictors and the integrator's floor as
+    `rollout/<metric>/<steps>/<predictor>`; these are measured once, as they do not change. It
+    comes before callbacks that swap weights for validation, or it measures the others.
+
+    In `test` the same under `test_rollout/`; `rollout_metrics.md` and `.csv` in the run's
+    folder, a row a predictor and number of steps; and `rollout_metrics.png`, the errors and
+    energies against time, also in TensorBoard.
+
+    A rollout goes as far as it is asked to or as its truth goes, whichever is less; after some
+    steps fewer simulations may be left, and the table says how many. One that turns
+    non-finite counts as infinite from there on, and the table names it and the step.
+
+    Example::
+
+        callbacks:
+          - class_path: callbacks.RolloutMetrics
+            init_args:
+              steps: 100
+              starts: [0, 0.5] # the first frame, and half way through
+              simulations: 2
+              every_n_validations: 10
+
+    Args:
+        steps: of each rollout; to the truth's end by default.
+        starts: frames that rollouts start at: whole numbers are frames, fractions shares of a
+            simulation from 0.0 to below 1.
+        simulations: how many are rolled out, from the file's first on; all by default.
+        every_n_validations: in training, how often one rolls out; 0 for none in any.
+        costly_steps: after which chamfer, sinkhorn and density are taken, and after the last
+            step too. At these of 100 steps all metrics cost less than the rollout itself.
+
+    Raises:
+        UserError: an argument cannot be used.
+    """
+
+    def __init__(
+        self,
+        steps: int | None = 100,
+        starts: Sequence[int | float] = (0,),
+        simulations: int | None = 2,
+        every_n_validations: int = 10,
+        costly_steps: Sequence[int] = (25, 50, 100),
+    ) -> None:
+        for name, value, least in (
+            ("steps", 1 if steps is None else steps, 1),
+            ("simulations", 1 if simulations is None else simulations, 1),
+            ("every_n_validations", every_n_validations, 0),
+        ):
+            if value < least:
+                raise UserError(f"RolloutMetrics: {name} is {value}; it must be at least {least}.")
+        if not starts or not all(s >= 0 if isinstance(s, int) else 0 <= s < 1 for s in starts):
+            raise UserError(
+                f"RolloutMetrics: starts is {list(starts)}; whole numbers are frames, fractions "
+                "are shares of a simulation, from 0.0 to below 1, and there must be one."
+            )
+        if any(step < 1 for step in costly_steps):
+            raise UserError(
+                f"RolloutMetrics: costly_steps is {list(costly_steps)}; the first step is 1."
+            )
+        self.steps, self.starts, self.simulations = steps, starts, simulations
+        self.every_n_validations, self.costly_steps = every_n_validations, costly_steps
+        self._validations = 0
+        self._suite: RolloutSuite | None = None
+
+    def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
+        """Checks who is rolled out, and forgets what an earlier run measured.
+
+        Raises:
+            UserError: the module is not a FluidsNet, or the data give no rollouts.
+        """
+        if not isinstance(pl_module, FluidsNet):
+            raise UserError("RolloutMetrics measures rollouts of FluidsNet alone.")
+        data = getattr(trainer, "datamodule", None)
+        if stage != "predict" and not hasattr(data, "rollout_starts"):
+            raise UserError(
+                "RolloutMetrics needs a data module with rollout_starts, such as SPHDataModule."
+            )
+        self._validations, self._suite = 0, None
+        # Asked for by all processes, since they agree on it.
+        self._folder = run_folder(trainer)
+
+    def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Rolls out, if it is this validation's turn, and logs."""
+        if trainer.sanity_checking or self.every_n_validations == 0:
+            return
+        self._validations += 1
+        if trainer.state.fn == "fit" and self._validations % self.every_n_validations:
+            return
+        starts, figures = self._measure(trainer, pl_module, "val")
+        scalars = self._scalars(figures, max(starts.steps))
+        mine = {f"rollout/{name}": value for name, value in scalars.pop("model").items()}
+        # All processes have the same; their mean spares a warning.
+        pl_module.log_dict(mine, sync_dist=True, batch_size=1)
+        self._log(trainer, "rollout", scalars)
+
+    def on_test_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Rolls out, logs, and writes the table and the figure."""
+        starts, figures = self._measure(trainer, pl_module, "test")
+        if not trainer.is_global_zero:
+            return
+        longest = max(starts.steps)
+        scalars = self._scalars(figures, longest)
+        self._log(trainer, "test_rollout", {"": scalars.pop("model"), **scalars})
+        time_step: float = starts[0].state.scene.time_step
+        path = self._folder / "rollout_metrics"
+        text = write_rollout_metrics(path, figures, starts, _rows(longest), time_step)
+        draw_curves(path.with_suffix(".png"), figures, time_step, trainer.logger)
+        print(f"\n{text}\n{path}.md\n{path}.png")
+
+    @torch.no_grad()
+    def _measure(
+        self, trainer: Trainer, module: Any, split: Literal["val", "test"]
+    ) -> tuple[RolloutStarts, Figures]:
+        data: Any = trainer.datamodule  # type: ignore[attr-defined]
+        starts: RolloutStarts = data.rollout_starts(
+            split, self.starts, self.steps, self.simulations
+        )
+        # Of all but the model, in an earlier validation.
+        known = self._suite is not None
+        if self._suite is None:
+            longest = max(starts.steps)
+            names = [starts.names.index(name) for name in starts.names]
+            costly = {*self.costly_steps, longest}
+            self._suite = RolloutSuite(names, longest, costly, module.device)
+        self._suite.forget("model")
+        mine = range(trainer.global_rank, len(starts), trainer.world_size)
+        bar = tqdm(
+            total=sum(starts.steps[index] for index in mine),
+            desc="measuring rollouts",
+            unit="step",
+            leave=False,
+            disable=split == "val" or not trainer.is_global_zero,
+        )
+        for index in mine:
+            self._roll_out(trainer, module, self._suite, starts, index, known, bar)
+        bar.close()
+        return starts, self._suite.compute()
+
+    @staticmethod
+    def _roll_out(
+        trainer: Trainer,
+        module: FluidsNet,
+        suite: RolloutSuite,
+        starts: RolloutStarts,
+        index: int,
+        known: bool,
+        bar: Any,
+    ) -> None:
+        """One rollout; where the others' figures are known, of the model alone."""
+        start = starts[index].to(module.device)
+        states = rollout(
+            module.network, module.integrator, module.walls, start.state, starts.steps[index]
+        )
+        baselines = Baselines(start.state, module.integrator)
+        for step in range(1, starts.steps[index] + 1):
+            with trainer.precision_plugin.forward_context():
+                state = next(states)
+            true = start.state.moved(*(value.to(module.device) for value in start.truth[step]))
+            others = {} if known else {**baselines.after(step, true), "truth": true}
+            suite.update(index, step, {"model": state, **others}, true, start.state)
+            bar.update()
+
+    @staticmethod
+    def _scalars(figures: Figures, longest: int) -> dict[str, dict[str, float]]:
+        """By predictor, what is logged: a number for each metric and number of steps."""
+        return {
+            predictor: {
+                f"{name}/{step}": float(values[step - 1])
+                for name, values in of.items()
+                if name != "non_finite_step"
+                for step in _rows(longest)
+                if not values[step - 1].isnan()
+            }
+            for predictor, of in figures.items()
+        }
+
+    @staticmethod
+    def _log(trainer: Trainer, group: str, scalars: dict[str, dict[str, float]]) -> None:
+        """To the loggers alone: these are for looking at beside the model's."""
+        values = {
+            f"{group}/{name}/{predictor}".removesuffix("/"): value
+            for predictor, of in scalars.items()
+            for name, value in of.items()
+        }
+        for logger in trainer.loggers:
+            logger.log_metrics(values, step=trainer.global_step)
+
+
+def _rows(longest: int) -> list[int]:
+    """Numbers of steps that are logged and have a row."""
+    return sorted({*(step for step in STEPS if step <= longest), longest})

@@ -1,0 +1,209 @@
+"""Rollouts in validation and test: when, from where, and what is left behind."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import torch
+from lightning import LightningModule, Trainer
+from lightning.pytorch.callbacks import ModelCheckpoint
+from lightning.pytorch.loggers import TensorBoardLogger
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from callbacks import RolloutMetrics
+from datamodules import SPHDataModule
+from fluidsnet import FluidsNet
+from fluidsnet.errors import UserError
+from fluidsnet.features import NoContext
+from fluidsnet.integrator import Integrator
+from fluidsnet.particles import Particles
+from fluidsnet.rollout import rollout
+from fluidsnet.target import Motion
+
+
+def data(sample: Path) -> SPHDataModule:
+    return SPHDataModule(sample, voxel_size=0.25)
+
+
+def trainer(folder: Path, *callbacks: Any, **changes: Any) -> Trainer:
+    return Trainer(
+        **{
+            "accelerator": "cuda" if torch.cuda.is_available() else "cpu",
+            "devices": 1,
+            "logger": TensorBoardLogger(folder, name="run", version=""),
+            "enable_checkpointing": False,
+            "enable_progress_bar": False,
+            "enable_model_summary": False,
+            "limit_train_batches": 2,
+            "limit_val_batches": 1,
+            "limit_test_batches": 1,
+            "num_sanity_val_steps": 1,
+            "log_every_n_steps": 1,
+            "callbacks": list(callbacks),
+            **changes,
+        }
+    )
+
+
+def scalars(folder: Path) -> EventAccumulator:
+    return EventAccumulator(str(folder / "run"), size_guidance={"scalars": 0}).Reload()
+
+
+def trained(source: SPHDataModule, **changes: Any) -> FluidsNet:
+    model = FluidsNet(source.cells, context=NoContext, **changes)
+    model.learn_scale(source.statistics, source.time_step)
+    return model
+
+
+class BlowsUp(Integrator):
+    """Breaks in the third of the network's steps, and leaves the truth's alone."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def displacement(self, particles: Particles, motion: Motion) -> torch.Tensor:
+        # Without a displacement, the motion is the network's.
+        self.calls += motion.displacement is None
+        return motion.velocity * (torch.nan if self.calls == 3 else 0.02)
+
+
+@pytest.mark.parametrize(
+    ("changes", "at"),
+    [
+        ({"max_epochs": 4}, [4, 8]),
+        ({"max_steps": 6, "max_epochs": -1, "limit_train_batches": None, "val_check_interval": 1,
+          "check_val_every_n_epoch": None}, [2, 4, 6]),
+    ],
+)  # fmt: skip
+def test_every_second_validation_is_logged(
+    sample: Path, tmp_path: Path, changes: dict[str, Any], at: Sequence[int]
+) -> None:
+    runner = trainer(tmp_path, RolloutMetrics(steps=3, every_n_validations=2), **changes)
+    source = data(sample)
+    runner.fit(FluidsNet(source.cells, context=NoContext), source)
+    logged = scalars(tmp_path)
+    for name, late in (
+        ("position_error_mm/3", 1),
+        ("chamfer_mm/3", 1),
+        ("mse_n_m2/1/ballistic", 0),
+    ):
+        # Lightning counts a step less in what the module logs.
+        assert [event.step + late for event in logged.Scalars(f"rollout/{name}")] == list(at)
+    # What does not change is measured once, and logged with every rollout.
+    assert len({event.value for event in logged.Scalars("rollout/chamfer_mm/3/ballistic")}) == 1
+    assert len({event.value for event in logged.Scalars("rollout/chamfer_mm/3")}) > 1
+
+
+def test_a_checkpoint_can_monitor_what_every_validation_measures(
+    sample: Path, tmp_path: Path
+) -> None:
+    saver = ModelCheckpoint(tmp_path / "kept", monitor="rollout/position_error_mm/2")
+    rollouts = RolloutMetrics(steps=2, every_n_validations=1)
+    runner = trainer(tmp_path, rollouts, saver, enable_checkpointing=True, max_epochs=2)
+    source = data(sample)
+    runner.fit(FluidsNet(source.cells, context=NoContext), source)
+    best = min(event.value for event in scalars(tmp_path).Scalars(str(saver.monitor)))
+    assert float(saver.best_model_score or 0) == pytest.approx(best)
+
+
+def test_the_test_leaves_a_table_a_figure_and_scalars(sample: Path, tmp_path: Path) -> None:
+    source = data(sample)
+    model = trained(source)
+    runner = trainer(tmp_path, RolloutMetrics(steps=12, starts=[0, 0.75], costly_steps=[5]))
+    runner.test(model, source, verbose=False)
+    with (tmp_path / "run" / "rollout_metrics.csv").open() as file:
+        table = {(row["predictor"], row["steps"]): row for row in csv.DictReader(file)}
+    with h5py.File(sample / "test.h5") as file_:
+        position = file_["00000/position"][()].astype(np.float64)
+        velocity = file_["00000/velocity"][()].astype(np.float64)
+    frames = len(position)
+    starts = (0, round(0.75 * (frames - 1)))
+    there = [[start for start in starts if start + step < frames] for step in (1, 10, 12)]
+    assert [len(some) for some in there] == [2, 2 if frames > 40 else 1, 1]
+    for step, some in zip((1, 10, 12), there, strict=True):
+        flown = [
+            np.linalg.norm(
+                position[at] + 0.02 * step * velocity[at] - position[at + step], axis=1
+            ).mean()
+            for at in some
+        ]
+        row = table["constant velocity", str(step)]
+        assert float(row["position_error mm"]) == pytest.approx(1000 * np.mean(flown), rel=1e-4)
+        assert row["simulations"] == "1"
+        energy = [(velocity[at + step] ** 2).sum(axis=1).mean() / 2 for at in some]
+        found = float(table["truth", str(step)]["kinetic_energy J/kg"])
+        assert found == pytest.approx(np.mean(energy), rel=1e-4)
+        states = []
+        for at in some:
+            start = source.rollout_starts("test", (at,))[0].state.to(model.device)
+            blocks = (model.eval().network, model.integrator, model.walls)
+            states.append(list(rollout(*blocks, start, step))[-1].position.cpu().numpy())
+        off = [
+            np.linalg.norm(state - position[at + step], axis=1).mean()
+            for state, at in zip(states, some, strict=True)
+        ]
+        mine = float(table["model", str(step)]["position_error mm"])
+        assert mine == pytest.approx(1000 * np.mean(off), rel=1e-3)
+    assert table["model", "1"]["chamfer mm"] == table["truth", "5"]["chamfer mm"] == ""
+    assert float(table["model", "5"]["chamfer mm"]) > 0
+    assert float(table["truth", "12"]["density_error 99.9th %"]) < 5
+    assert (tmp_path / "run" / "rollout_metrics.png").stat().st_size > 10_000
+    logged = scalars(tmp_path)
+    assert "test_rollout/curves" in logged.Tags()["images"]
+    (event,) = logged.Scalars("test_rollout/position_error_mm/1")
+    assert event.value == pytest.approx(float(table["model", "1"]["position_error mm"]))
+
+
+def test_a_rollout_that_blows_up_is_infinite_and_named(
+    sample: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = data(sample)
+    model = trained(source, integrator=BlowsUp())
+    # The first of its steps is that of the one batch, the third the rollout's second.
+    trainer(tmp_path, RolloutMetrics(steps=3)).test(model, source, verbose=False)
+    sentence = "The model's rollout of /00000 from frame 0 is not finite from step 2 on."
+    assert sentence in capsys.readouterr().out
+    assert sentence in (tmp_path / "run" / "rollout_metrics.md").read_text()
+    with (tmp_path / "run" / "rollout_metrics.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["predictor"] == "model"]
+    assert [row["non-finite %"] for row in rows] == ["0.0", "100.0", "100.0"]
+    assert [row["position_error mm"] == "inf" for row in rows] == [False, True, True]
+    assert rows[-1]["density_error %"] == rows[-1]["sinkhorn_256 m²"] == "inf"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"steps": 0}, "steps is 0"),
+        ({"simulations": 0}, "simulations is 0"),
+        ({"every_n_validations": -1}, "every_n_validations is -1"),
+        ({"starts": []}, "there must be one"),
+        ({"starts": [1.0]}, r"starts is \[1.0\]"),
+        ({"starts": [-1]}, r"starts is \[-1\]"),
+        ({"costly_steps": [0]}, r"costly_steps is \[0\]"),
+    ],
+)
+def test_arguments_that_cannot_be_used(arguments: dict[str, Any], words: str) -> None:
+    with pytest.raises(UserError, match=words):
+        RolloutMetrics(**arguments)
+
+
+def test_another_module_or_other_data_are_refused(sample: Path, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="rollouts of FluidsNet alone"):
+        RolloutMetrics().setup(trainer(tmp_path), LightningModule(), "test")
+    with pytest.raises(UserError, match="a data module with rollout_starts"):
+        RolloutMetrics().setup(trainer(tmp_path), trained(data(sample)), "test")
+
+
+def test_none_is_measured_where_none_is_asked_for(sample: Path, tmp_path: Path) -> None:
+    source = data(sample)
+    runner = trainer(tmp_path, RolloutMetrics(every_n_validations=0), max_epochs=1)
+    runner.fit(FluidsNet(source.cells, context=partial(NoContext)), source)
+    assert not [name for name in runner.callback_metrics if name.startswith("rollout/")]
