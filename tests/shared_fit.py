@@ -19,7 +19,15 @@ from torch import Tensor
 from torch.optim import SGD
 from torch.utils.data import DataLoader
 
-from callbacks import OneStepTable, RolloutPicture, RolloutProgress, RolloutTable, TrajectoryWriter
+from callbacks import (
+    Ablation,
+    ForeignContext,
+    OneStepTable,
+    RolloutPicture,
+    RolloutProgress,
+    RolloutTable,
+    TrajectoryWriter,
+)
 from datamodules import SPHDataModule
 from datamodules.sampler import each_once
 from fluidsnet import FluidsNet
@@ -27,6 +35,7 @@ from fluidsnet.errors import UserError
 from fluidsnet.features import GlobalVector
 from fluidsnet.features.norm import BatchNorm
 from fluidsnet.loss import mean_square
+from fluidsnet.target import AccelerationTarget
 
 #: Frames of a step, of all processes together.
 BATCH = 6
@@ -80,12 +89,14 @@ def fit(root: Path, folder: Path, processes: int) -> None:
         default_root_dir=folder,
         logger=TensorBoardLogger(folder, name="run", version=""),
         log_every_n_steps=1,
+        gradient_clip_val=0.5,
         num_sanity_val_steps=0,
         enable_checkpointing=False,
         enable_progress_bar=False,
         enable_model_summary=False,
         callbacks=[
             OneStepTable(), RolloutProgress(), TrajectoryWriter(), RolloutTable(), RolloutPicture(),
+            Ablation("target", AccelerationTarget(), "acceleration"), ForeignContext(),
         ],
     )  # fmt: skip
     trainer.fit(model, data)

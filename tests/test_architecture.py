@@ -9,6 +9,7 @@ ROOT = Path(__file__).parents[1]
 
 #: What may import what: a module may import those of a lower rank, and its own package.
 RANKS = {
+    "fluidsnet.composition": 1,
     "fluidsnet.draws": 0,
     "fluidsnet.errors": 0,
     "fluidsnet.processes": 0,

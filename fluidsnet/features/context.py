@@ -104,6 +104,7 @@ class GlobalVector(Context):
         )
         self.width = reduced[-1]
         self.empty_deviation = empty_variance**0.5
+        self.seed = seed
         noise = torch.randn(
             (cells[0] * cells[1] * cells[2], channels),
             generator=torch.Generator("cpu").manual_seed(seed),
