@@ -28,15 +28,15 @@ from fluidsnet.walls import Walls
 
 #: What takes a block's place.
 Variant = (
-    Target
+    None
+    | list[int]
+    | Target
     | LocalFeature
     | Integrator
     | Walls
     | NeighborSearch
     | StartNoise
     | ContextFactory
-    | Sequence[int]
-    | None
 )
 
 _KINDS: dict[str, type | tuple[type, ...]] = {
