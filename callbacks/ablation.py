@@ -134,11 +134,15 @@ class Ablation(Callback):
                 f"This FluidsNet already has a twin {self.name!r} with another {self.block}; "
                 "choose another name."
             )
+        # Of several, the first measures and draws for all.
+        self._first = ablations[0] is self
         self._measured = stage != "fit"
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Tells TensorBoard to draw the models into one chart a figure."""
         assert isinstance(pl_module, FluidsNet)
+        if not self._first:
+            return
         charts = {
             figure: ["Multiline", [f"ablation/{figure}/{name}" for name in pl_module.models()]]
             for figure in _CHARTS
@@ -151,12 +155,13 @@ class Ablation(Callback):
         self, trainer: Trainer, pl_module: LightningModule, batch: Transitions, batch_idx: int
     ) -> None:
         """Measures what the first step costs, on copies."""
-        if self._measured:
+        if self._measured or not self._first:
             return
         self._measured = True
         assert isinstance(pl_module, FluidsNet)
-        models = {name: pl_module.models()[name] for name in ("model", self.name)}
-        costs = training_costs(models, batch, pl_module.optimizer, trainer.precision_plugin)
+        costs = training_costs(
+            pl_module.models(), batch, pl_module.optimizer, trainer.precision_plugin
+        )
         figures = {
             f"ablation/cost/{figure}/{name}": value
             for name, cost in costs.items()
@@ -164,11 +169,8 @@ class Ablation(Callback):
         }
         for logger in trainer.loggers:
             logger.log_metrics(figures, step=trainer.global_step)
-        seconds = {name: cost["step_seconds"] for name, cost in costs.items()}
-        rank_zero_info(
-            f"Ablation {self.name!r}: a training step of {batch.state.frames} frames takes the "
-            f"model {seconds['model']:.3g} s, and {seconds[self.name]:.3g} s more for the twin."
-        )
+        seconds = ", ".join(f"{name} {cost['step_seconds']:.3g} s" for name, cost in costs.items())
+        rank_zero_info(f"A training step of {batch.state.frames} frames takes: {seconds}.")
 
 
 def _callbacks(trainer: Trainer) -> list[Callback]:

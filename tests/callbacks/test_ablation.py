@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,8 +28,20 @@ Weights = dict[str, Tensor]
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 
 
+MADE: list[SPHDataModule] = []
+
+
+@pytest.fixture(autouse=True)
+def closed() -> Iterator[None]:
+    """Closes the data's files, which a fit that is refused leaves open."""
+    yield
+    while MADE:
+        MADE.pop().teardown("fit")
+
+
 def data(sample: Path, kind: type[SPHDataModule] = SPHDataModule) -> SPHDataModule:
-    return kind(sample, voxel_size=0.25, batch_size=2, sample_every=6)
+    MADE.append(kind(sample, voxel_size=0.25, batch_size=2, sample_every=6, rollout_steps=1))
+    return MADE[-1]
 
 
 def trainer(folder: Path, *callbacks: Callback, **changes: Any) -> Trainer:
@@ -168,6 +181,9 @@ def test_a_checkpoint_can_be_used_without_its_twin_but_not_resumed(
     plain = FluidsNet(source.cells)
     found = trainer(tmp_path).test(plain, source, ckpt_path=kept, verbose=False)[0]
     assert not [name for name in found if "other" in name]
+    trainer(tmp_path, Ablation("context", NoContext, "other")).predict(
+        FluidsNet(source.cells), source, ckpt_path=kept
+    )
 
     def resume(*callbacks: Callback) -> None:
         run = trainer(tmp_path, *callbacks, max_epochs=2)
@@ -284,7 +300,8 @@ def test_a_twin_that_would_not_differ_is_refused(
 )
 def test_other_settings_make_a_twin(block: str, variant: Any) -> None:
     model = FluidsNet((6, 4, 6), walls=StopAtWalls(), noise=StartNoise())
-    Ablation(block, variant, "other").setup(Trainer(logger=False), model, "test")
+    ablation = Ablation(block, variant, "other")
+    ablation.setup(Trainer(logger=False, callbacks=[ablation]), model, "test")
     assert list(model.models()) == ["model", "other"]
 
 

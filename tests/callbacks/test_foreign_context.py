@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -27,9 +28,11 @@ def measure(model: FluidsNet, source: SPHDataModule, folder: Path) -> dict[str, 
 
 
 @pytest.fixture
-def source(sample: Path) -> SPHDataModule:
+def source(sample: Path) -> Iterator[SPHDataModule]:
     # Four frames in batches of three: the last batch is shorter.
-    return SPHDataModule(sample, 0.25, sample_every=11, batch_size=3)
+    made = SPHDataModule(sample, 0.25, sample_every=11, batch_size=3)
+    yield made
+    made.teardown("test")
 
 
 @pytest.mark.parametrize("used", [False, True])
