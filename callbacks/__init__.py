@@ -1,6 +1,8 @@
 """Lightning callbacks, one behavior a file."""
 
+from callbacks.ablation import Ablation as Ablation
 from callbacks.compiled_network import CompiledNetwork as CompiledNetwork
+from callbacks.foreign_context import ForeignContext as ForeignContext
 from callbacks.one_step_table import OneStepTable as OneStepTable
 from callbacks.rollout_metrics import RolloutMetrics as RolloutMetrics
 from callbacks.rollout_picture import RolloutPicture as RolloutPicture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from argparse import SUPPRESS
 from typing import NoReturn
 
 from lightning import Trainer
@@ -11,6 +12,7 @@ from lightning.pytorch.core import LightningModule
 # Imported so that configs can name their classes without the package.
 import callbacks as callbacks
 from datamodules.sph import SPHDataModule
+from fluidsnet.composition import with_base
 from fluidsnet.errors import UserError
 from fluidsnet.module import FluidsNet
 
@@ -39,6 +41,8 @@ class FluidsNetCLI(LightningCLI):
     """The scene reaches the model from the data, so that nobody types it twice."""
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
+        # Read by `with_base`; the parser only has to know that configs may have it.
+        parser.add_argument("--base", type=list[str] | None, default=None, help=SUPPRESS)
         parser.link_arguments("data.cells", "model.init_args.cells", apply_on="instantiate")
 
 
@@ -80,5 +84,5 @@ def _run(arguments: list[str]) -> None:
         save_config_kwargs={"overwrite": True},
         seed_everything_default=0,
         auto_configure_optimizers=False,
-        args=arguments,
+        args=[*with_base(arguments), "--base=null"],
     )

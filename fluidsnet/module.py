@@ -2,44 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, cast
 
 import torch
 from lightning import LightningModule
 from lightning.pytorch.cli import OptimizerCallable
+from lightning.pytorch.trainer.states import TrainerFn
+from lightning.pytorch.utilities import rank_zero_info
 from torch import Tensor
 from torch.nn.parallel import DistributedDataParallel
-from torch.optim import Adam, Optimizer
+from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
-from torchmetrics import MetricCollection
 
-from fluidsnet.checkpoint import check, describe
+from fluidsnet.checkpoint import check, check_twins, describe
+from fluidsnet.draws import alike
 from fluidsnet.errors import UserError
-from fluidsnet.features.context import GlobalVector
-from fluidsnet.features.local import LocalFeature, NeighborMean
-from fluidsnet.integrator import Euler, Integrator
-from fluidsnet.loss import mean_square
-from fluidsnet.metrics import PositionError, Skill, TargetError, VelocityMSE
-from fluidsnet.neighbors import Auto, NeighborSearch
-from fluidsnet.network import ContextFactory, Network
+from fluidsnet.features.local import LocalFeature
+from fluidsnet.integrator import Integrator
+from fluidsnet.metrics import TargetError
+from fluidsnet.model import Model
+from fluidsnet.neighbors import NeighborSearch
+from fluidsnet.network import ContextFactory
 from fluidsnet.noise import StartNoise
+from fluidsnet.one_step import OneStepErrors
+from fluidsnet.optimization import adam, clip_each, total_steps
 from fluidsnet.particles import Particles, RolloutStart, Transitions
 from fluidsnet.rollout import RolloutObserver, rollout
 from fluidsnet.schedule import HalfwayDrop
-from fluidsnet.statistics import Statistics
-from fluidsnet.target import Target, VelocityTarget
-from fluidsnet.trivial import ballistic, constant_velocity
-from fluidsnet.walls import OpenWalls, Walls
+from fluidsnet.target import Target
+from fluidsnet.trivial import TRIVIAL
+from fluidsnet.walls import Walls
 
 #: Makes a schedule from an optimizer and the number of steps of the whole run.
 ScheduleCallable = Callable[[Optimizer, int], LRScheduler]
 
-#: Who predicts: the network, and the two that know nothing of fluids.
-PREDICTORS = ("model", "constant_velocity", "ballistic")
 
-
-class FluidsNet(LightningModule):
+class FluidsNet(Model, LightningModule):
     """The paper's network and its training; each block can be replaced from a config.
 
     Args:
@@ -72,46 +72,27 @@ class FluidsNet(LightningModule):
         optimizer: OptimizerCallable | None = None,
         schedule: ScheduleCallable | None = None,
     ) -> None:
-        super().__init__()
+        super().__init__(cells, neighbors, local, context, target, integrator, walls, head, noise)
         self.save_hyperparameters()
-        self.network = Network(
-            cells=cells,
-            neighbors=neighbors or Auto(),
-            local=local or NeighborMean(),
-            context=context or GlobalVector,
-            target=target or VelocityTarget(),
-            head=head,
-        )
-        self.integrator = integrator or Euler()
-        self.walls = walls or OpenWalls()
-        self.noise = noise
-        self.optimizer = optimizer or _adam
+        self.optimizer = optimizer or adam
         self.schedule = schedule or HalfwayDrop
-        # Part of the checkpoint, so that a network never runs at a step it was not trained on.
-        self.register_buffer("time_step", torch.zeros((), dtype=torch.float64))
-        self.time_step: Tensor
-        if self.integrator.needs_displacement and not self.network.target.gives_displacement:
-            raise UserError(
-                f"The integrator {type(self.integrator).__name__} needs a target that predicts "
-                f"a displacement, and {type(self.network.target).__name__} does not; use "
-                "DisplacementTarget, or the integrator Euler or Trapezoid."
-            )
         # A metric, since Lightning's mean of a number over processes is off where one of them
         # has more frames.
         self.validation_loss = TargetError()
-        self.validation = self._metrics()
-        self.testing = torch.nn.ModuleDict({name: self._metrics() for name in PREDICTORS})
+        self.validation = torch.nn.ModuleDict({"model": OneStepErrors()})
+        self.testing = torch.nn.ModuleDict({name: OneStepErrors() for name in ("model", *TRIVIAL)})
+        self.twins = torch.nn.ModuleDict()
 
-    def learn_scale(self, statistics: Statistics, time_step: float) -> None:
-        """Takes the scale of inputs and target, and the time step in s, from the training data."""
-        self.network.set_statistics(statistics)
-        if self.noise is not None:
-            self.noise.set_statistics(statistics)
-        self.time_step.fill_(time_step)
+    def models(self) -> dict[str, Model]:
+        """This one, as ``model``, and the twins that train, on the same batches, beside it."""
+        return {"model": self, **cast(dict[str, Model], dict(self.twins.items()))}
 
-    def forward(self, particles: Particles) -> Particles:
-        """The predicted state one step later."""
-        return self.walls(self.integrator(particles, self.network.motion(particles)))
+    def add_twin(self, name: str, twin: Model) -> None:
+        """Has a model trained, measured and saved beside this one; before Lightning's `setup`."""
+        self.twins[name] = twin
+        self.validation[name], self.testing[name] = OneStepErrors(), OneStepErrors()
+        # Lightning's memory of which metrics there are.
+        self._metric_attributes = None
 
     # Lightning's hooks, in the order they are called.
 
@@ -119,7 +100,8 @@ class FluidsNet(LightningModule):
         if stage == "fit":
             # A checkpoint that is resumed is read after this and has the last word.
             data: Any = self._data_module()
-            self.learn_scale(data.statistics, data.time_step)
+            for model in self.models().values():
+                model.learn_scale(data.statistics, data.time_step)
             # All processes come to the same buffers by themselves. To send them round at each
             # call costs more than the network, and needs as many batches of each to validate.
             DistributedDataParallel._set_params_and_buffers_to_ignore_for_model(  # type: ignore[no-untyped-call]
@@ -132,56 +114,66 @@ class FluidsNet(LightningModule):
             torch.manual_seed(torch.initial_seed() + self.global_rank)
 
     def configure_optimizers(self) -> Any:
-        optimizer = self.optimizer(self.parameters())
-        steps = self.trainer.estimated_stepping_batches
-        if steps == float("inf"):
-            raise UserError(
-                "The learning rate's schedule needs to know where training ends: "
-                "set trainer.max_epochs or trainer.max_steps."
-            )
-        scheduler = self.schedule(optimizer, int(steps))
+        own = [weight for name, weight in self.named_parameters() if not name.startswith("twins.")]
+        groups: list[dict[str, Any]] = [{"params": own}]
+        if self.twins:
+            # Named for LearningRateMonitor.
+            groups[0]["name"] = "model"
+            groups += [
+                {"params": list(twin.parameters()), "name": name}
+                for name, twin in self.twins.items()
+            ]
+        optimizer = self.optimizer(groups)
+        scheduler = self.schedule(optimizer, total_steps(self))
         return {
             "optimizer": optimizer,
             "lr_scheduler": {"scheduler": scheduler, "interval": "step"},
         }
 
+    def configure_gradient_clipping(
+        self,
+        optimizer: Optimizer,
+        gradient_clip_val: float | None = None,
+        gradient_clip_algorithm: str | None = None,
+    ) -> None:
+        if self.twins and gradient_clip_val:
+            clip_each(optimizer, gradient_clip_val, gradient_clip_algorithm)
+        else:
+            self.clip_gradients(optimizer, gradient_clip_val, gradient_clip_algorithm)
+
     def training_step(self, batch: Transitions, batch_index: int) -> Tensor:
-        state = batch.state if self.noise is None else self.noise(batch.state)
-        losses = []
-        for position, velocity in zip(batch.next_position, batch.next_velocity, strict=True):
-            output = self.network(state)
-            expected = self.network.target.encode(state, position, velocity)
-            losses.append(mean_square(output, expected))
-            if len(losses) < len(batch.next_position):
-                motion = self.network.target.decode(output, state)
-                state = self.walls(self.integrator(state, motion))
-        loss = torch.stack(losses).mean()
-        frames = batch.state.frames
-        self.log("train/loss", loss, batch_size=frames, prog_bar=True, sync_dist=True)
-        return loss
+        models, frames = self.models(), batch.state.frames
+        losses = alike(self.device, [partial(model.loss, batch) for model in models.values()])
+        self.log("train/loss", losses[0], batch_size=frames, prog_bar=True, sync_dist=True)
+        if self.twins:
+            for name, loss in zip(models, losses, strict=True):
+                self.log(f"ablation/train_loss/{name}", loss, batch_size=frames, sync_dist=True)
+        # They share no weights, so that each gets the gradient of its own loss.
+        return torch.stack(losses).sum()
 
     def validation_step(self, batch: Transitions, batch_index: int) -> None:
         position, velocity = batch.next_position[0], batch.next_velocity[0]
-        output = self.network(batch.state)
-        expected = self.network.target.encode(batch.state, position, velocity)
-        motion = self.network.target.decode(output, batch.state)
-        state = self.walls(self.integrator(batch.state, motion))
-        _update(self.validation, state, batch)
         frames = batch.state.frames
-        self.validation_loss.update(output, expected, batch.state, batch.simulation)
-        self.log("val/loss", self.validation_loss, batch_size=frames)
-        for name, metric in self.validation.items():
-            shown = name == "skill"
-            self.log(f"val/{name}", metric, batch_size=frames, prog_bar=shown)
+        for name, model in self.models().items():
+            target, output = model.network.target, model.network(batch.state)
+            motion = target.decode(output, batch.state)
+            state = model.walls(model.integrator(batch.state, motion))
+            errors = cast(OneStepErrors, self.validation[name])
+            errors.add(state, batch)
+            if model is self:
+                expected = target.encode(batch.state, position, velocity)
+                self.validation_loss.update(output, expected, batch.state, batch.simulation)
+                self.log("val/loss", self.validation_loss, batch_size=frames)
+                errors.log_from(self, "val/{}", frames)
+            if self.twins:
+                errors.log_from(self, f"ablation/{{}}/{name}", frames)
 
     def test_step(self, batch: Transitions, batch_index: int) -> None:
-        guesses = (self(batch.state), constant_velocity(batch.state), ballistic(batch.state))
-        for predictor, state in zip(PREDICTORS, guesses, strict=True):
-            metrics = self.testing[predictor]
-            assert isinstance(metrics, MetricCollection)
-            _update(metrics, state, batch)
-            for name, metric in metrics.items():
-                self.log(f"test/{predictor}/{name}", metric, batch_size=batch.state.frames)
+        guesses: dict[str, Callable[[Particles], Particles]] = {**self.models(), **TRIVIAL}
+        for name, predict in guesses.items():
+            errors = cast(OneStepErrors, self.testing[name])
+            errors.add(predict(batch.state), batch)
+            errors.log_from(self, f"test/{name}/{{}}", batch.state.frames)
 
     def predict_step(self, batch: RolloutStart, batch_index: int) -> None:
         callbacks = self.trainer.callbacks  # type: ignore[attr-defined]
@@ -198,10 +190,14 @@ class FluidsNet(LightningModule):
                 observer.on_rollout_end(batch)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        describe(checkpoint, self.network)
+        describe(checkpoint, self.models())
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        check(checkpoint, self.network)
+        check(checkpoint, self)
+        trainer = self._trainer
+        resumed = trainer is not None and trainer.state.fn == TrainerFn.FITTING
+        for name in check_twins(checkpoint, self.models(), resumed):
+            rank_zero_info(f"The checkpoint's twin {name!r} is left out; the model alone is used.")
 
     def on_train_start(self) -> None:
         self._check_time_step()
@@ -235,27 +231,3 @@ class FluidsNet(LightningModule):
                 "FluidsNet needs a data module that knows the scene, such as SPHDataModule."
             )
         return data
-
-    @staticmethod
-    def _metrics() -> MetricCollection:
-        return MetricCollection(
-            {
-                "velocity_mse": VelocityMSE(),
-                "skill": Skill(),
-                "position_error_1_mm": PositionError(),
-            },
-            compute_groups=False,
-        )
-
-
-def _adam(parameters: Iterable[Tensor]) -> Optimizer:
-    return Adam(parameters, lr=0.003)
-
-
-def _update(metrics: MetricCollection, state: Particles, batch: Transitions) -> None:
-    """Adds a batch of predicted states to velocity_mse, skill and position error."""
-    before, simulation = batch.state, batch.simulation
-    position, velocity = batch.next_position[0], batch.next_velocity[0]
-    metrics["velocity_mse"].update(state.velocity, velocity, before, simulation)
-    metrics["skill"].update(state.velocity, velocity, before, simulation)
-    metrics["position_error_1_mm"].update(state.position, position, before, simulation)

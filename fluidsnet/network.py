@@ -60,24 +60,33 @@ class Network(nn.Module):
         self.inputs.set_statistics(statistics)
         self.target.set_statistics(statistics)
 
-    def forward(self, particles: Particles) -> Tensor:
+    def forward(self, particles: Particles, context: Tensor | None = None) -> Tensor:
         """The head's output (N, target.width) for the fluid particles.
 
         A profiler sees its stages as ranges: `search` and `local`, or where no edge is stored
         `sort` and `search + local`; `voxel` and `global`, of the global vector; `head`.
+
+        Args:
+            particles: N fluid particles and the solid ones.
+            context: (N, context.width) in place of their own.
         """
+        features = self.features(particles)
+        if context is None:
+            context = self.context(particles, features)
+        with record_function("head"):
+            output: Tensor = self.head(features, context)
+        return output
+
+    def features(self, particles: Particles) -> Tensor:
+        """Input and local features of the fluid particles, side by side: what the context sees."""
         local = self.local.without_edges(particles, self.neighbors, self.inputs)
         if local is None:
             with record_function("search"):
                 neighbors = self.neighbors(particles)
             with record_function("local"):
                 local = self.local(particles, neighbors, self.inputs)
-        features = torch.cat([self.inputs(particles), local], dim=1)
-        context = self.context(particles, features)
-        with record_function("head"):
-            output: Tensor = self.head(features, context)
-        return output
+        return torch.cat([self.inputs(particles), local], dim=1)
 
-    def motion(self, particles: Particles) -> Motion:
-        """The predicted motion of the fluid particles over one step."""
-        return self.target.decode(self(particles), particles)
+    def motion(self, particles: Particles, context: Tensor | None = None) -> Motion:
+        """The predicted motion of the fluid particles over one step; `context` as above."""
+        return self.target.decode(self(particles, context), particles)

@@ -18,3 +18,7 @@ def ballistic(particles: Particles, steps: int = 1) -> Particles:
         particles.position + time * particles.velocity + time**2 / 2 * gravity,
         particles.velocity + time * gravity,
     )
+
+
+#: By the names they have in logs and tables.
+TRIVIAL = {"constant_velocity": constant_velocity, "ballistic": ballistic}

@@ -20,6 +20,8 @@ from torch.optim import SGD
 from torch.utils.data import DataLoader
 
 from callbacks import (
+    Ablation,
+    ForeignContext,
     OneStepTable,
     RolloutMetrics,
     RolloutPicture,
@@ -34,6 +36,7 @@ from fluidsnet.errors import UserError
 from fluidsnet.features import GlobalVector
 from fluidsnet.features.norm import BatchNorm
 from fluidsnet.loss import mean_square
+from fluidsnet.target import AccelerationTarget
 
 #: Frames of a step, of all processes together.
 BATCH = 6
@@ -87,6 +90,7 @@ def fit(root: Path, folder: Path, processes: int) -> None:
         default_root_dir=folder,
         logger=TensorBoardLogger(folder, name="run", version=""),
         log_every_n_steps=1,
+        gradient_clip_val=0.5,
         num_sanity_val_steps=0,
         enable_checkpointing=False,
         enable_progress_bar=False,
@@ -95,6 +99,7 @@ def fit(root: Path, folder: Path, processes: int) -> None:
             # To validate there is one simulation: one process of two has no rollout.
             OneStepTable(), RolloutMetrics(steps=2, simulations=None, every_n_validations=1),
             RolloutProgress(), TrajectoryWriter(), RolloutTable(), RolloutPicture(),
+            Ablation("target", AccelerationTarget(), "acceleration"), ForeignContext(),
         ],
     )  # fmt: skip
     trainer.fit(model, data)

@@ -9,6 +9,8 @@ ROOT = Path(__file__).parents[1]
 
 #: What may import what: a module may import those of a lower rank, and its own package.
 RANKS = {
+    "fluidsnet.composition": 1,
+    "fluidsnet.draws": 0,
     "fluidsnet.errors": 0,
     "fluidsnet.processes": 0,
     "fluidsnet.scene": 0,
@@ -27,17 +29,20 @@ RANKS = {
     "fluidsnet.integrator": 3,
     "fluidsnet.metrics": 4,
     "fluidsnet.network": 4,
-    "fluidsnet.checkpoint": 5,
+    "fluidsnet.model": 5,
     "fluidsnet.rollout": 5,
     "fluidsnet.batched": 5,
     "fluidsnet.compiled": 5,
-    "fluidsnet.module": 6,
-    "fluidsnet": 7,
-    "callbacks": 8,
-    "datamodules": 8,
-    "fluidsnet.studies": 9,
-    "fluidsnet.cli": 9,
-    "fluidsnet.main": 10,
+    "fluidsnet.checkpoint": 6,
+    "fluidsnet.one_step": 6,
+    "fluidsnet.optimization": 6,
+    "fluidsnet.module": 7,
+    "fluidsnet": 8,
+    "callbacks": 9,
+    "datamodules": 9,
+    "fluidsnet.studies": 10,
+    "fluidsnet.cli": 10,
+    "fluidsnet.main": 11,
 }
 
 #: All that the data modules may know of the rest.

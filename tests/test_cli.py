@@ -16,8 +16,12 @@ import lightning
 import numpy as np
 import pytest
 import yaml
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.plugins.custom_scalar.layout_pb2 import Layout
 
 from datamodules.generate.command import _parser as generate_parser
+from fluidsnet.composition import with_base
+from fluidsnet.errors import UserError
 from fluidsnet.export.vtkhdf import read_field_data, read_frame
 from fluidsnet.main import USAGE, main
 
@@ -83,6 +87,84 @@ def test_every_model_trains_is_tested_and_rolls_out(
     assert "rollout_steps: null" in (folder / "config.yaml").read_text()
 
 
+ABLATIONS = sorted((CONFIGS / "ablation").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("ablation", ABLATIONS, ids=lambda p: p.stem)
+def test_every_ablation_is_compared_while_training_and_in_the_test(
+    ablation: Path, run: Run, tmp_path: Path
+) -> None:
+    run("fit", ablation, SAMPLE, more=("--trainer.max_steps=-1", "--trainer.log_every_n_steps=1"))
+    folder = tmp_path / "run"
+    callbacks = yaml.safe_load(ablation.read_text())["trainer"]["callbacks+"]
+    name = callbacks[0]["init_args"]["name"]
+    events = EventAccumulator(str(folder)).Reload()
+    scalars = set(events.Tags()["scalars"])
+    tensor = events.Tensors("custom_scalars__config__")[0].tensor_proto
+    layout = Layout.FromString(tensor.string_val[0])
+    charts = {chart.title: list(chart.multiline.tag) for chart in layout.category[0].chart}
+    figures = ["train_loss", "velocity_mse", "skill", "position_error_1_mm"]
+    assert charts == {
+        figure: [f"ablation/{figure}/model", f"ablation/{figure}/{name}"] for figure in figures
+    }
+    costs = ["step_seconds", "kept_bytes", "parameters", "optimizer_bytes"]
+    costs = [f"ablation/cost/{cost}/{who}" for cost in costs for who in ("model", name)]
+    assert {*costs, *(tag for tags in charts.values() for tag in tags)} <= scalars
+    assert all(events.Scalars(cost)[0].value > 0 for cost in costs)
+    run("test", more=(f"--run={folder}",))
+    with (folder / "one_step.csv").open() as file:
+        rows = [row[0] for row in csv.reader(file)]
+    assert rows[1:] == ["model", name.replace("_", " "), "constant velocity", "ballistic"]
+    assert (folder / "foreign_context.md").exists() == (len(callbacks) == 2)
+
+
+def test_the_documented_ablations_of_other_blocks_run(
+    run: Run, tmp_path: Path, sample: Path
+) -> None:
+    text = (ROOT / "docs" / "ablations.md").read_text()
+    example = tmp_path / "example.yaml"
+    example.write_text(text.partition("```yaml\n")[2].partition("```")[0])
+    cells = "--data.init_args.voxel_size=0.5"  # few
+    run("fit", TRAINER, PAPER, SAMPLE, example, more=(cells,))
+    folder = tmp_path / "run"
+    # Any test can look at the global feature.
+    run("test", more=(f"--run={folder}", "--trainer.callbacks+=callbacks.ForeignContext"))
+    rows = (folder / "one_step.md").read_text()
+    assert all(name in rows for name in ("trapezoid", "full convolutions", "wide head"))
+    assert (folder / "foreign_context.md").exists()
+    # The twins may be left out.
+    alone = [f"--config={config}" for config in (TRAINER, PAPER, SAMPLE)]
+    root = f"--data.init_args.root={sample}"
+    logger = f"--trainer.logger.init_args.save_dir={tmp_path / 'alone'}"
+    checkpoint = f"--ckpt_path={folder / 'checkpoints' / 'best.ckpt'}"
+    main(["test", *alone, root, cells, logger, checkpoint])
+    table = next((tmp_path / "alone").rglob("one_step.md")).read_text()
+    assert table.count("\n") == 5
+
+
+@pytest.mark.parametrize("ablation", ABLATIONS, ids=lambda p: p.stem)
+def test_an_ablation_alone_is_put_upon_its_base(ablation: Path) -> None:
+    base = [TRAINER, PAPER, CONFIGS / "data" / "dam_break_small.yaml"]
+    found = with_base(["fit", "--config", str(ablation), f"--config={SAMPLE}", "--a=1"])
+    paths = [Path(word.removeprefix("--config=")).resolve() for word in found[1:4]]
+    assert paths == base
+    assert found[4:] == ["--config", str(ablation), f"--config={SAMPLE}", "--a=1"]
+    # After others it changes those.
+    composed = ["fit", f"--config={TRAINER}", f"--config={ablation}"]
+    assert with_base(composed) == composed
+
+
+@pytest.mark.parametrize(
+    ("base", "words"),
+    [("x.yaml", "must be a list of files"), ("[x.yaml]", "its base .*x.yaml is missing")],
+)
+def test_a_base_that_is_not_there_is_refused(base: str, words: str, tmp_path: Path) -> None:
+    overlay = tmp_path / "overlay.yaml"
+    overlay.write_text(f"base: {base}\n")
+    with pytest.raises(UserError, match=words):
+        with_base(["fit", f"--config={overlay}"])
+
+
 # The paper-size scenes' own samples (frames 300 on) are longer than the sample.
 OVERLAYS: dict[str, tuple[str, ...]] = {
     "frame_range": ("--data.init_args.frame_range=[0,null]", "--data.init_args.sample_every=1"),
@@ -111,7 +193,7 @@ def test_data_and_scene_configs_agree_on_table_1(scene: str, size: str) -> None:
 @pytest.mark.parametrize("scene", sorted((CONFIGS / "scene").glob("*.yaml")), ids=lambda p: p.stem)
 def test_every_scene_config_draws_its_scenes(scene: Path, tmp_path: Path) -> None:
     parser = generate_parser()
-    options = parser.instantiate_classes(
+    options = parser.instantiate(
         parser.parse_args([f"--config={scene}", f"--root={tmp_path}"])
     )
     recipe = options.recipe
@@ -231,6 +313,9 @@ def test_the_rollout_file_holds_the_start_the_truths_error_and_each_step(
           "--data.init_args.root=/nowhere"], "/nowhere holds none of train.h5"),
         (["fit", f"--config={TRAINER}", f"--config={PAPER}", f"--config={SAMPLE}",
           "--model.init_args.integrator=Displacement"], "needs a target that predicts"),
+        (["fit", f"--config={CONFIGS / 'ablation' / 'target.yaml'}", f"--config={SAMPLE}",
+          "--trainer.callbacks+=callbacks.Ablation", "--trainer.callbacks.block=targets",
+          "--trainer.callbacks.name=other"], "there is no block 'targets'"),
         (["test", "--run=/nowhere"], "/nowhere is not the folder of a run"),
         (["test", "--run"], "--run needs the folder"),
         (["fit", "--run=/nowhere"], "fit takes --config"),

@@ -41,6 +41,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 def test_two_processes_train_as_one_with_twice_the_batch(folders: tuple[Path, Path]) -> None:
     one = torch.load(folders[0] / "process_0.pt")
+    assert any(name.startswith("twins.") for name in one["weights"])
     two = [torch.load(folders[1] / f"process_{rank}.pt") for rank in range(2)]
     # Particles of the two differ, and so would a mean of their means.
     assert two[0]["sizes"] != two[1]["sizes"]
@@ -63,6 +64,7 @@ def test_two_processes_measure_every_frame_once(folders: tuple[Path, Path]) -> N
     one, two = (json.loads((folder / "metrics.json").read_text()) for folder in folders)
     assert {"val/loss", "val/skill", "test/model/velocity_mse"} <= one.keys()
     assert {"rollout/position_error_mm/2", "rollout/density_error/2"} <= one.keys()
+    assert {"ablation/skill/acceleration", "test/acceleration/velocity_mse"} <= one.keys()
     for name, expected in one.items():
         assert two[name] == pytest.approx(expected, rel=1e-4), name
 
@@ -72,7 +74,7 @@ def test_fewer_samples_than_processes_are_refused(folders: tuple[Path, Path]) ->
     assert said.startswith("There are 2 processes for 1 samples or simulations")
 
 
-@pytest.mark.parametrize("table", ["one_step", "rollout", "rollout_metrics"])
+@pytest.mark.parametrize("table", ["one_step", "rollout", "rollout_metrics", "foreign_context"])
 def test_two_processes_write_the_same_tables(folders: tuple[Path, Path], table: str) -> None:
     one, two = (
         list(csv.reader((folder / "run" / f"{table}.csv").read_text().splitlines()))

@@ -21,10 +21,12 @@ class Context(nn.Module, ABC):
     Attributes:
         width: of the feature.
         needs_its_grid: whether its weights fit only the number of cells they were trained on.
+        one_a_frame: whether all particles of a frame have the same.
     """
 
     width: int
     needs_its_grid = False
+    one_a_frame = False
 
     @abstractmethod
     def forward(self, particles: Particles, features: Tensor) -> Tensor:
@@ -73,6 +75,7 @@ class GlobalVector(Context):
     """
 
     needs_its_grid = True
+    one_a_frame = True
     empty: Tensor
 
     def __init__(
@@ -101,6 +104,7 @@ class GlobalVector(Context):
         )
         self.width = reduced[-1]
         self.empty_deviation = empty_variance**0.5
+        self.seed = seed
         noise = torch.randn(
             (cells[0] * cells[1] * cells[2], channels),
             generator=torch.Generator("cpu").manual_seed(seed),

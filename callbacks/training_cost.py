@@ -1,0 +1,125 @@
+"""What a training step costs in time and memory."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from statistics import median
+from typing import Any
+
+import torch
+from lightning.pytorch.cli import OptimizerCallable
+from lightning.pytorch.plugins.precision import Precision
+from torch import Tensor
+
+from fluidsnet.draws import Draws
+from fluidsnet.model import Model
+from fluidsnet.particles import Transitions
+
+#: Steps of each model that are timed, after one that is not.
+ROUNDS = 3
+
+
+def training_costs(
+    models: Mapping[str, Model],
+    batch: Transitions,
+    optimizer: OptimizerCallable,
+    precision: Precision,
+) -> dict[str, dict[str, float]]:
+    """Takes training steps of copies, in turns, so that what slows the machine slows all.
+
+    Neither the models nor the random numbers that follow notice.
+
+    Args:
+        models: by their names.
+        batch: to step with, on the models' device.
+        optimizer: makes one from weights.
+        precision: Lightning's, of the run.
+
+    Returns:
+        For each model ``step_seconds``, the median time of forward and backward pass, neighbor
+        search included; ``kept_bytes``, of the tensors that the forward pass keeps for the
+        backward; ``peak_bytes`` above what was there before, where the device is a CUDA GPU;
+        ``parameters``; ``optimizer_bytes``, of the optimizer's state.
+    """
+    device = batch.state.position.device
+    costs = {}
+    with Draws(device):
+        copies = {
+            name: precision.convert_module(model.twin().to(device).train())
+            for name, model in models.items()
+        }
+        seconds: dict[str, list[float]] = {name: [] for name in copies}
+        peaks = dict.fromkeys(copies, 0.0)
+        for round_ in range(ROUNDS + 1):
+            for name, copy in copies.items():
+                taken, peak = _timed(copy, batch, precision)
+                if round_:
+                    seconds[name].append(taken)
+                peaks[name] = max(peaks[name], peak)
+        for name, copy in copies.items():
+            weights = list(copy.parameters())
+            state = optimizer(weights)
+            kept = _kept_bytes(copy, batch, precision)
+            state.step()
+            costs[name] = {
+                "step_seconds": median(seconds[name]),
+                "kept_bytes": float(kept),
+                "parameters": float(sum(weight.numel() for weight in weights)),
+                "optimizer_bytes": float(_bytes_in(state.state)),
+            }
+            if device.type == "cuda":
+                costs[name]["peak_bytes"] = peaks[name]
+    return costs
+
+
+def _timed(model: Any, batch: Transitions, precision: Precision) -> tuple[float, float]:
+    """Seconds of a step, and bytes at its peak on a GPU."""
+    device = batch.state.position.device
+    model.zero_grad()
+    if device.type != "cuda":
+        started = time.perf_counter()
+        _step(model, batch, precision)
+        return time.perf_counter() - started, 0.0
+    torch.cuda.synchronize(device)
+    before = torch.cuda.memory_allocated(device)
+    torch.cuda.reset_peak_memory_stats(device)
+    event: Any = torch.cuda.Event
+    start, end = event(enable_timing=True), event(enable_timing=True)
+    start.record()
+    _step(model, batch, precision)
+    end.record()
+    torch.cuda.synchronize(device)
+    peak = torch.cuda.max_memory_allocated(device) - before
+    return start.elapsed_time(end) / 1000, float(peak)
+
+
+def _step(model: Any, batch: Transitions, precision: Precision) -> None:
+    with precision.train_step_context():
+        loss: Tensor = model.loss(batch)
+    loss.backward()  # type: ignore[no-untyped-call]
+
+
+def _kept_bytes(model: Any, batch: Transitions, precision: Precision) -> int:
+    """Bytes that a forward pass keeps for the backward, each tensor's storage counted once."""
+    weights = {weight.untyped_storage().data_ptr() for weight in model.parameters()}
+    sizes: dict[int, int] = {}
+
+    def pack(value: Tensor) -> Tensor:
+        storage = value.untyped_storage()
+        if storage.data_ptr() not in weights:
+            sizes[storage.data_ptr()] = storage.nbytes()
+        return value
+
+    with torch.autograd.graph.saved_tensors_hooks(pack, lambda value: value):
+        _step(model, batch, precision)
+    return sum(sizes.values())
+
+
+def _bytes_in(state: Mapping[Any, Any]) -> int:
+    return sum(
+        value.numel() * value.element_size()
+        for values in state.values()
+        for value in values.values()
+        if isinstance(value, Tensor)
+    )

@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+from lightning import Trainer
+
+from callbacks import ForeignContext
+from datamodules import SPHDataModule
+from fluidsnet import FluidsNet
+from fluidsnet.features import NoContext
+
+
+def measure(model: FluidsNet, source: SPHDataModule, folder: Path) -> dict[str, float]:
+    model.learn_scale(source.statistics, source.time_step)
+    trainer = Trainer(
+        default_root_dir=folder,
+        devices=1,
+        logger=False,
+        enable_progress_bar=False,
+        callbacks=[ForeignContext()],
+    )
+    found: dict[str, float] = trainer.test(model, source, verbose=False)[0]  # type: ignore[assignment]
+    return found
+
+
+@pytest.fixture
+def source(sample: Path) -> Iterator[SPHDataModule]:
+    # Four frames in batches of three: the last batch is shorter.
+    made = SPHDataModule(sample, 0.25, sample_every=11, batch_size=3)
+    yield made
+    made.teardown("test")
+
+
+@pytest.mark.parametrize("used", [False, True])
+def test_the_ratio_says_whether_the_vector_is_used(
+    source: SPHDataModule, tmp_path: Path, used: bool
+) -> None:
+    torch.manual_seed(0)
+    model = FluidsNet(source.cells)
+    if not used:
+        with torch.no_grad():
+            model.network.head[0].weight[:, -model.network.context.width :] = 0
+    found = measure(model, source, tmp_path)
+    own, ratio = found["foreign_context/velocity_mse/own"], found["foreign_context/ratio"]
+    assert own == pytest.approx(found["test/model/velocity_mse"], rel=1e-5)
+    assert found["foreign_context/skill/own"] == pytest.approx(found["test/model/skill"], rel=1e-4)
+    assert (ratio == pytest.approx(1.0, abs=1e-6)) == (not used)
+    with (tmp_path / "foreign_context.csv").open() as file:
+        rows = list(csv.reader(file))
+    assert [row[0] for row in rows[1:]] == ["the frame itself", "another frame"]
+    assert float(rows[2][3]) == pytest.approx(ratio)
+
+
+def test_the_other_frame_is_half_the_split_away(source: SPHDataModule, tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    model = FluidsNet(source.cells)
+    found = measure(model, source, tmp_path)
+    dataset = source.test_dataloader().dataset
+    model.eval()
+    errors = []
+    with torch.no_grad():
+        for row in range(4):
+            own, other = dataset[row], dataset[(row + 2) % 4]
+            network = model.network
+            vector = network.context(other.state, network.features(other.state))[:1]
+            state = model(own.state, vector.expand(len(own.state), -1))
+            errors.append((state.velocity - own.next_velocity[0]).double().square().mean())
+    expected = float(torch.stack(errors).mean())
+    assert found["foreign_context/velocity_mse/foreign"] == pytest.approx(expected, rel=1e-4)
+
+
+def test_where_there_is_no_vector_it_says_so(
+    source: SPHDataModule, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level("INFO"):
+        found = measure(FluidsNet(source.cells, context=NoContext), source, tmp_path)
+    assert not [name for name in found if name.startswith("foreign")]
+    assert "NoContext is not one vector a frame" in caplog.text
+    assert not (tmp_path / "foreign_context.csv").exists()
