@@ -47,9 +47,7 @@ class Perceptron(nn.ModuleList):
         super().__init__(layers[:-1])
         self.widths = tuple(widths)
 
-    def forward(  # type: ignore[override]  # two inputs, where Sequential has one
-        self, own: Tensor, context: Tensor
-    ) -> Tensor:
+    def forward(self, own: Tensor, context: Tensor) -> Tensor:
         """(N, last width) from (N, A) and (N, B), side by side the first width.
 
         Args:

@@ -123,9 +123,9 @@ def speed_command(arguments: list[str]) -> None:
         load_solver()
     folder = Path(options.output)
     work = folder / "work"
+    run = Run(**{**asdict(options), "threads": options.threads or cores()}, work=work)
     shutil.rmtree(work, ignore_errors=True)
     work.mkdir(parents=True)
-    run = Run(**{**asdict(options), "threads": options.threads or cores()}, work=work)
     try:
         run.measure()
     finally:
