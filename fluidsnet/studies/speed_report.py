@@ -218,7 +218,7 @@ class Report:
             for batch in self.batches
         ]
         header = (
-            "fluid", "frames", "IISPH s a frame", "prediction s", "s a frame", "peak MB", "×"
+            "fluid", "frames", "IISPH s a frame", "prediction s", "s a frame", "peak MB", "× IISPH"
         )  # fmt: skip
         return (
             "Measured here: dam breaks of as many particles. The frames are known ones, each "
