@@ -13,12 +13,13 @@ from typing import Self, final
 
 import torch
 
+from datamodules.generate.solver import solver_version
+from fluidsnet.errors import UserError
+
 #: Cores' worth of other people's work above which a timing is not to be trusted.
 BUSY = 0.15
 
-_PACKAGES = (
-    "torch", "torch-cluster", "torch-scatter", "numba", "numpy", "lightning", "pysplishsplash"
-)  # fmt: skip
+_PACKAGES = ("torch", "torch-cluster", "torch-scatter", "numba", "numpy", "lightning")
 
 
 def cpu_model() -> str:
@@ -54,6 +55,10 @@ def versions() -> str:
         except metadata.PackageNotFoundError:
             version = "not installed"
         found.append(f"{package} {version}")
+    try:
+        found.append(f"SPlisHSPlasH {solver_version()}")
+    except UserError:
+        found.append("SPlisHSPlasH not installed")
     return ", ".join(found)
 
 

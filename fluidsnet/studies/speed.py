@@ -29,8 +29,9 @@ class SpeedOptions:
         repeats: how often a step is timed.
         neighbors: searches of the network: Auto (no edge is stored on the CPU), CellListCPU,
             CellList, TorchCluster.
-        precision: float32, and autocast to bfloat16 or float16.
-        compile: measure each search in float32 through torch.compile, too.
+        precision: float32, and autocast to bfloat16 or float16; all of them with the first two
+            searches, the first of them with the others.
+        compile: measure the first two searches in float32 through torch.compile, too.
         solvers: IISPH, DFSPH, or none; the first makes the states that the network steps.
         frames: of the solver, after its start; their median counts.
         time_step: s that a network steps, and between two of the solver's frames.
@@ -50,7 +51,7 @@ class SpeedOptions:
     threads: int | None = None
     repeats: int = 7
     neighbors: list[Literal["Auto", "CellListCPU", "CellList", "TorchCluster"]] = field(
-        default_factory=lambda: ["Auto", "CellList", "TorchCluster"]
+        default_factory=lambda: ["Auto", "TorchCluster", "CellList"]
     )
     precision: list[Precision] = field(default_factory=lambda: ["float32"])
     compile: bool = False

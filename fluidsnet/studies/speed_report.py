@@ -8,7 +8,7 @@ from pathlib import Path
 
 from callbacks.table import Cell, markdown
 from fluidsnet.studies.machine import BUSY
-from fluidsnet.studies.paper_tables import BATCHES, HARDWARE, LARGE
+from fluidsnet.studies.paper_tables import batches, large_scenes
 from fluidsnet.studies.speed_row import Row, Spread, speed_up
 from fluidsnet.studies.trial import STAGES
 
@@ -108,7 +108,7 @@ class Report:
             parts += ["\n## The floor\n", self._floor()]
         if self.batches:
             parts += ["\n## Many frames at once, beside the paper's Table 3\n", self._table_3()]
-        parts += ["\n## Large scenes: the paper's Table 4, for comparison\n", self._table_4()]
+        parts += ["\n## Large scenes: the paper's Table 4, for comparison\n", large_scenes()]
         text = "\n".join(parts)
         (folder / "speed.md").write_text(text)
         return text
@@ -218,32 +218,14 @@ class Report:
             for batch in self.batches
         ]
         header = (
-            "fluid", "frames", "IISPH s a frame", "prediction s", "s a frame", "peak MB", "×"
-        )  # fmt: skip
-        theirs: list[list[Cell]] = [
-            [name, f"{particles:,}", simulation, before, prediction, up]
-            for name, particles, simulation, before, prediction, up in BATCHES
-        ]
-        their_header = (
-            "paper's scene", "particles", "simulation s", "precomputation s [8]",
-            "prediction s [8]", "×",
+            "fluid", "frames", "IISPH s a frame", "prediction s", "s a frame", "peak MB", "× IISPH"
         )  # fmt: skip
         return (
             "Measured here: dam breaks of as many particles. The frames are known ones, each "
             "stepped once; a rollout's frames wait for each other and gain nothing.\n\n"
             + markdown(header, rows)
-            + f"\nThe paper's ({HARDWARE}; a frame there is one solver step):\n\n"
-            + markdown(their_header, theirs)
-        )
-
-    def _table_4(self) -> str:
-        rows: list[list[Cell]] = [
-            [name, size, f"{particles:,}", simulation, prediction, up]
-            for name, size, particles, simulation, prediction, up in LARGE
-        ]
-        header = ("paper's scene", "m", "particles", "simulation s", "prediction s", "×")
-        return f"The paper's ({HARDWARE}; a frame there is one solver step):\n\n" + markdown(
-            header, rows
+            + "\n"
+            + batches()
         )
 
 

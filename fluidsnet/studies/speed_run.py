@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
-from statistics import median
 from typing import Any, NoReturn
 
 import h5py
@@ -23,11 +19,12 @@ from fluidsnet.studies.cores import floor
 from fluidsnet.studies.dam import Dam
 from fluidsnet.studies.machine import BUSY, OtherLoad, cpu_model, device_name, versions
 from fluidsnet.studies.model import load_model
+from fluidsnet.studies.own_process import in_own_process
 from fluidsnet.studies.paper_tables import BATCHES
 from fluidsnet.studies.speed_figure import draw
 from fluidsnet.studies.speed_report import Batch, Report
 from fluidsnet.studies.speed_row import Row, spread
-from fluidsnet.studies.trial import Result, Trial
+from fluidsnet.studies.trial import Trial
 
 
 @dataclass
@@ -77,7 +74,9 @@ class Run:
         each = 1 + len(self.solvers) + len(list(self._ways()))
         with tqdm(total=1 + each * len(sizes) + 2 * len(scenes), unit="measurement") as bar:
             bar.set_description("what the cores can do")
-            self.report.cores = self._network_process(Trial("cores", threads=self.threads)).cores
+            self.report.cores = in_own_process(
+                self.work, Trial("cores", threads=self.threads)
+            ).cores
             bar.update()
             for size in sizes:
                 self._size(Dam.of(size), bar)
@@ -86,10 +85,16 @@ class Run:
         self._write()
 
     def _ways(self) -> Iterator[tuple[str, Any, bool]]:
-        for neighbors in self.neighbors:
-            for precision in self.precision:
+        """Search, precision, and whether torch.compile has its turn.
+
+        A third search differs from the second in the search alone, which neither precision nor
+        torch.compile changes.
+        """
+        for number, neighbors in enumerate(self.neighbors):
+            few = number > 1
+            for precision in self.precision[:1] if few else self.precision:
                 yield neighbors, precision, False
-            if self.compile:
+            if self.compile and not few:
                 yield neighbors, "float32", True
 
     def _size(self, dam: Dam, bar: tqdm[NoReturn]) -> None:
@@ -97,7 +102,7 @@ class Run:
         reference = self.work / "reference.npy"
         base = self._trial(states, kind="reference", reference=str(reference))
         bar.set_description(f"{dam.particles:,} particles, reference")
-        failed = self._network_process(replace(base, neighbors="CellListCPU")).failure
+        failed = in_own_process(self.work, replace(base, neighbors="CellListCPU")).failure
         if failed:
             tqdm.write(f"{dam.particles:,} particles: no errors, since the reference: {failed}")
         bar.update()
@@ -136,7 +141,7 @@ class Run:
                 row.note = f"skipped: beyond {self.seconds:g} s"
                 return
         with OtherLoad() as load:
-            result = self._network_process(trial)
+            result = in_own_process(self.work, trial)
         row.others, row.note = load.cores, result.failure
         row.solids, row.peak, row.error = result.solids, result.peak, result.error
         row.stages, row.edges = result.stages, result.edges
@@ -187,14 +192,15 @@ class Run:
         self.report.rows = rows
         bar.set_description(f"{dam.particles:,} particles, {self.batch} frames at once")
         bar.update(2 - len(made))
-        result = self._network_process(
-            self._trial(states, kind="batch", neighbors=self.neighbors[0], batch=self.batch)
+        result = in_own_process(
+            self.work,
+            self._trial(states, kind="batch", neighbors=self.neighbors[0], batch=self.batch),
         )
         states.unlink()
         if not result.step:
             tqdm.write(f"{dam.particles:,} particles, {self.batch} at once: {result.failure}")
             return
-        solver = median([row.step[0] for row in made if row.step]) if made else None
+        solver = next((row.step[0] for row in made if row.step), None)
         self.report.batches.append(
             Batch(
                 dam.particles, self.batch, spread(result.step), result.batches,
@@ -214,33 +220,6 @@ class Run:
             seconds=self.seconds,
             **more,
         )
-
-    def _network_process(self, trial: Trial) -> Result:
-        task, answer = self.work / "trial.json", self.work / "result.json"
-        answer.unlink(missing_ok=True)
-        task.write_text(json.dumps(asdict(trial)))
-        environment = {**os.environ, "OMP_NUM_THREADS": str(trial.threads)}
-        log = self.work / "trial.log"
-        with log.open("wb") as words:
-            try:
-                ended = subprocess.run(
-                    [sys.executable, "-m", "fluidsnet.studies.trial", str(task), str(answer)],
-                    stdout=words,
-                    stderr=subprocess.STDOUT,
-                    stdin=subprocess.DEVNULL,
-                    env=environment,
-                    # What goes wrong beyond all expectation; a minute is for the start.
-                    timeout=3 * trial.seconds + 120,
-                    check=False,
-                )
-            except subprocess.TimeoutExpired:
-                return Result(failure=f"skipped: beyond {trial.seconds:g} s")
-        if ended.returncode < 0:
-            return Result(failure=f"killed by signal {-ended.returncode}, as for lack of memory")
-        if not answer.exists():
-            last = log.read_text(errors="replace").strip().splitlines()[-1:] or ["no words"]
-            return Result(failure=f"failed: {last[0]}")
-        return Result(**json.loads(answer.read_text()))
 
     def _header(self) -> list[str]:
         what = self.run or self.model or "the paper's network"

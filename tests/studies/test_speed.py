@@ -10,12 +10,13 @@ import pytest
 from datamodules.reader import FrameReader
 from fluidsnet.main import main
 from fluidsnet.network import Network
+from fluidsnet.studies.bench import measure
 from fluidsnet.studies.cores import floor
 from fluidsnet.studies.dam import Dam
 from fluidsnet.studies.model import load_model
 from fluidsnet.studies.speed_report import Report
 from fluidsnet.studies.speed_row import Row
-from fluidsnet.studies.trial import Trial, measure
+from fluidsnet.studies.trial import Trial
 
 MODELS = Path(__file__).parents[2] / "configs" / "model"
 
