@@ -193,9 +193,7 @@ def test_data_and_scene_configs_agree_on_table_1(scene: str, size: str) -> None:
 @pytest.mark.parametrize("scene", sorted((CONFIGS / "scene").glob("*.yaml")), ids=lambda p: p.stem)
 def test_every_scene_config_draws_its_scenes(scene: Path, tmp_path: Path) -> None:
     parser = generate_parser()
-    options = parser.instantiate(
-        parser.parse_args([f"--config={scene}", f"--root={tmp_path}"])
-    )
+    options = parser.instantiate(parser.parse_args([f"--config={scene}", f"--root={tmp_path}"]))
     recipe = options.recipe
     bodies = recipe.scene.sample(np.random.default_rng(0), recipe.particle_radius)
     for body in bodies:
