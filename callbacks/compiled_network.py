@@ -25,4 +25,5 @@ class CompiledNetwork(Callback):
         """
         if not isinstance(pl_module, FluidsNet):
             raise UserError("CompiledNetwork compiles the network of FluidsNet alone.")
-        compile_network(pl_module.network)
+        for model in pl_module.models().values():
+            compile_network(model.network)

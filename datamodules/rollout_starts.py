@@ -94,3 +94,31 @@ class RolloutStarts(Dataset[RolloutStart]):
             steps=self.steps[index],
             truth=SimulationTruth(self.reader, name, self.stride, first),
         )
+
+
+@final
+class RolloutDataset(Dataset[RolloutStart]):
+    """The first frame of each simulation.
+
+    Args:
+        reader: of a file.
+        stride: frames from a state to the next.
+        steps: of each rollout; as many as the simulation has by default.
+    """
+
+    def __init__(self, reader: FrameReader, stride: int, steps: int | None) -> None:
+        self.reader, self.stride, self.steps = reader, stride, steps
+        self.names = list(reader.frames)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __getitem__(self, index: int) -> RolloutStart:
+        name = self.names[index]
+        truth = SimulationTruth(self.reader, name, self.stride)
+        return RolloutStart(
+            name=name,
+            state=self.reader.state(name, 0, self.reader.scene(self.stride)),
+            steps=len(truth) - 1 if self.steps is None else self.steps,
+            truth=truth,
+        )

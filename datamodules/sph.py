@@ -5,108 +5,25 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, final
+from typing import Any, Literal
 
 import torch
 from lightning import LightningDataModule
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import DataLoader
 
 from datamodules.augmentation import Augmentation
 from datamodules.reader import FrameReader
-from datamodules.rollout_starts import RolloutStarts, SimulationTruth
+from datamodules.rollout_starts import RolloutDataset, RolloutStarts
 from datamodules.sampler import each_once
+from datamodules.scale import statistics
 from datamodules.schema import SPLITS
+from datamodules.transitions import Sample, TransitionDataset
 from fluidsnet.errors import UserError
 from fluidsnet.particles import RolloutStart, Transitions
 from fluidsnet.scene import Scene
 from fluidsnet.statistics import Statistics
-
-#: Statistics are taken from at most so many samples, evenly spread over the split.
-STATISTICS_SAMPLES = 256
-
-
-@dataclass(frozen=True)
-class Sample:
-    """Where a transition starts."""
-
-    reader: FrameReader
-    simulation: str
-    frame: int
-
-
-@final
-class TransitionDataset(Dataset[Transitions]):
-    """States and what follows, each frame of a sample read once.
-
-    Args:
-        samples: where the transitions start.
-        stride: frames from a state to the next.
-        steps: next states per sample.
-        augmentation: changes a sample after it was read.
-    """
-
-    def __init__(
-        self,
-        samples: Sequence[Sample],
-        stride: int,
-        steps: int,
-        augmentation: Augmentation | None = None,
-    ) -> None:
-        self.samples, self.stride, self.steps = samples, stride, steps
-        self.augmentation = augmentation
-        # By its file too: one name may be in several.
-        names = dict.fromkeys((sample.reader.path, sample.simulation) for sample in samples)
-        self._numbers = {name: number for number, name in enumerate(names)}
-
-    def __len__(self) -> int:
-        return len(self.samples)
-
-    def __getitem__(self, index: int) -> Transitions:
-        sample = self.samples[index]
-        reader, simulation = sample.reader, sample.simulation
-        state = reader.state(simulation, sample.frame, reader.scene(self.stride))
-        later = [
-            reader.fluid(simulation, sample.frame + step * self.stride)
-            for step in range(1, self.steps + 1)
-        ]
-        transitions = Transitions(
-            state=state,
-            next_position=torch.stack([position for position, _ in later]),
-            next_velocity=torch.stack([velocity for _, velocity in later]),
-            simulation=torch.tensor([self._numbers[reader.path, simulation]]),
-        )
-        return transitions if self.augmentation is None else self.augmentation(transitions)
-
-
-@final
-class RolloutDataset(Dataset[RolloutStart]):
-    """The first frame of each simulation.
-
-    Args:
-        reader: of a file.
-        stride: frames from a state to the next.
-        steps: of each rollout; as many as the simulation has by default.
-    """
-
-    def __init__(self, reader: FrameReader, stride: int, steps: int | None) -> None:
-        self.reader, self.stride, self.steps = reader, stride, steps
-        self.names = list(reader.frames)
-
-    def __len__(self) -> int:
-        return len(self.names)
-
-    def __getitem__(self, index: int) -> RolloutStart:
-        name = self.names[index]
-        truth = SimulationTruth(self.reader, name, self.stride)
-        return RolloutStart(
-            name=name,
-            state=self.reader.state(name, 0, self.reader.scene(self.stride)),
-            steps=len(truth) - 1 if self.steps is None else self.steps,
-            truth=truth,
-        )
 
 
 class SPHDataModule(LightningDataModule):
@@ -347,41 +264,3 @@ class SPHDataModule(LightningDataModule):
         random.Random(self.seed).shuffle(samples)
         cut = round(0.8 * len(samples))
         return {"train": samples[:cut], "val": samples[cut:], "test": samples[cut:]}
-
-
-def statistics(dataset: TransitionDataset) -> Statistics:
-    """Means and deviations over samples spread evenly over a data set.
-
-    Args:
-        dataset: transitions of the training split.
-    """
-    every = math.ceil(len(dataset) / STATISTICS_SAMPLES)
-    counts = 0
-    sums = torch.zeros(3, 3, dtype=torch.float64)
-    squares = torch.zeros(3, 3, dtype=torch.float64)
-    for index in range(0, len(dataset), every):
-        sample = dataset[index]
-        state = sample.state
-        velocity = state.velocity.double()
-        drift = sample.next_position[0].double() - state.position.double()
-        rows = torch.stack(
-            [
-                velocity,
-                sample.next_velocity[0].double() - velocity,
-                drift - state.scene.time_step * velocity,
-            ]
-        )
-        counts += len(state)
-        sums += rows.sum(dim=1)
-        squares += rows.square().sum(dim=1)
-    means = sums / counts
-    # One deviation for the three axes, so that no direction is stretched; never zero.
-    deviations = (squares / counts - means.square()).mean(dim=1).clamp_min(1e-24).sqrt()
-    means, deviations = means.float(), deviations.float()
-    return Statistics(
-        velocity_mean=means[0],
-        velocity_deviation=deviations[0],
-        change_mean=means[1],
-        change_deviation=deviations[1],
-        drift_deviation=deviations[2],
-    )

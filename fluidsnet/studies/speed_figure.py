@@ -43,7 +43,10 @@ def draw(rows: Sequence[Row], path: Path) -> None:
             linewidth=1.2,
         )
     axes.axhline(1.0, color="gray", linewidth=0.8)
-    axes.text(0.01, 1.05, "real time", color="gray", transform=axes.get_yaxis_transform())
+    axes.text(
+        0.99, 0.95, "real time", color="gray", ha="right", va="top",
+        transform=axes.get_yaxis_transform(),
+    )  # fmt: skip
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel("fluid particles")

@@ -17,7 +17,8 @@ from torch import Tensor
 from datamodules import SPHDataModule
 from datamodules.augmentation import BoxSymmetry
 from datamodules.reader import FrameReader
-from datamodules.sph import STATISTICS_SAMPLES, Sample, TransitionDataset
+from datamodules.scale import STATISTICS_SAMPLES
+from datamodules.transitions import Sample, TransitionDataset
 from fluidsnet.errors import UserError
 from fluidsnet.particles import Transitions
 
