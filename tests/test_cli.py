@@ -193,9 +193,7 @@ def test_data_and_scene_configs_agree_on_table_1(scene: str, size: str) -> None:
 @pytest.mark.parametrize("scene", sorted((CONFIGS / "scene").glob("*.yaml")), ids=lambda p: p.stem)
 def test_every_scene_config_draws_its_scenes(scene: Path, tmp_path: Path) -> None:
     parser = generate_parser()
-    options = parser.instantiate(
-        parser.parse_args([f"--config={scene}", f"--root={tmp_path}"])
-    )
+    options = parser.instantiate(parser.parse_args([f"--config={scene}", f"--root={tmp_path}"]))
     recipe = options.recipe
     bodies = recipe.scene.sample(np.random.default_rng(0), recipe.particle_radius)
     for body in bodies:
@@ -351,7 +349,7 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
         main(["nonsense"])
     assert end.value.code == 2
     error = capsys.readouterr().err
-    for word in ("generate", "inspect", "fit", "validate", "test", "predict", "speed"):
+    for word in ("generate", "inspect", "fit", "validate", "test", "predict", "speed", "report"):
         assert f"\n  {word} " in USAGE
         assert word in error
 
