@@ -16,6 +16,9 @@ from fluidsnet.composition import with_base
 from fluidsnet.errors import UserError
 from fluidsnet.module import FluidsNet
 
+#: Of everything that is drawn, where nobody sets another.
+SEED = 0
+
 
 class Parser(LightningArgumentParser):
     """Says what is wrong without the page of usage that would hide it."""
@@ -82,7 +85,7 @@ def _run(arguments: list[str]) -> None:
         subclass_mode_data=True,
         save_config_callback=SaveFitConfig,
         save_config_kwargs={"overwrite": True},
-        seed_everything_default=0,
+        seed_everything_default=SEED,
         auto_configure_optimizers=False,
         args=[*with_base(arguments), "--base=null"],
     )

@@ -26,6 +26,7 @@ experiments (LightningCLI; compose several --config, base first):
 
 studies:
   speed      time a network's step beside the solver, against the number of particles
+  report     write what one run or several logged as one page, with tables and curves
 
 test, validate and predict take a run's folder in place of its files:
   fluidsnet test --run runs/demo
@@ -48,6 +49,7 @@ def main(arguments: list[str] | None = None) -> None:
         "test": _experiment,
         "predict": _experiment,
         "speed": _speed,
+        "report": _report,
     }
     if not arguments or arguments[0] in ("-h", "--help"):
         print(USAGE, end="")
@@ -94,6 +96,12 @@ def _speed(arguments: list[str]) -> None:
     from fluidsnet.studies.speed import speed_command
 
     speed_command(arguments[1:])
+
+
+def _report(arguments: list[str]) -> None:
+    from fluidsnet.report.command import report_command
+
+    report_command(arguments[1:])
 
 
 def _experiment(arguments: list[str]) -> None:

@@ -42,7 +42,8 @@ RANKS = {
     "datamodules": 9,
     "fluidsnet.studies": 10,
     "fluidsnet.cli": 10,
-    "fluidsnet.main": 11,
+    "fluidsnet.report": 11,
+    "fluidsnet.main": 12,
 }
 
 #: All that the data modules may know of the rest.

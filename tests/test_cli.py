@@ -349,7 +349,7 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
         main(["nonsense"])
     assert end.value.code == 2
     error = capsys.readouterr().err
-    for word in ("generate", "inspect", "fit", "validate", "test", "predict", "speed"):
+    for word in ("generate", "inspect", "fit", "validate", "test", "predict", "speed", "report"):
         assert f"\n  {word} " in USAGE
         assert word in error
 

@@ -1,0 +1,353 @@
+"""`fluidsnet report`: a page and tables from real runs on the sample."""
+
+from __future__ import annotations
+
+import csv
+import re
+import shutil
+from base64 import b64decode
+from dataclasses import dataclass, field
+from html.parser import HTMLParser
+from pathlib import Path
+
+import lightning
+import pytest
+from torch.utils.tensorboard import SummaryWriter
+
+from fluidsnet.errors import UserError
+from fluidsnet.main import main
+from fluidsnet.report.events import read_history
+from fluidsnet.report.grid import Grid, shown, side_by_side
+from fluidsnet.report.run import names, read_runs
+from fluidsnet.report.settings import changed, differing, flat, shipped
+
+ROOT = Path(__file__).parents[1]
+CONFIGS = ROOT / "configs"
+
+# It logs to the stderr that there is when it is loaded, which must not be one test's own.
+assert lightning
+
+VOID = {"meta", "img", "link", "br", "hr", "input"}
+
+
+@dataclass
+class Page(HTMLParser):
+    """What a page is made of; opening and closing tags must match."""
+
+    text: str
+    open: list[str] = field(default_factory=list)
+    tags: list[tuple[str, dict[str, str | None]]] = field(default_factory=list)
+    words: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        super().__init__()
+        self.feed(self.text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data.strip())
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+def rows(path: Path) -> list[list[str]]:
+    with path.open(newline="") as file:
+        return list(csv.reader(file))
+
+
+def report(*runs: Path, output: Path) -> Page:
+    main(["report", *map(str, runs), f"--output={output}"])
+    return Page((output / "report.html").read_text())
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the run `one`, tested and rolled out, and `two`, which has a twin."""
+    folder = tmp_path_factory.mktemp("runs")
+    base = [
+        CONFIGS / "trainer.yaml",
+        CONFIGS / "model" / "paper.yaml",
+        CONFIGS / "data" / "sample.yaml",
+    ]
+    for name, more in (("one", []), ("two", [CONFIGS / "ablation" / "target.yaml"])):
+        configs = [f"--config={config}" for config in (*base, *more)]
+        main(
+            [
+                "fit", *configs,
+                f"--data.init_args.root={ROOT / 'tests' / 'data' / 'dam_break'}",
+                "--trainer.max_steps=4", "--trainer.log_every_n_steps=1",
+                "--trainer.val_check_interval=2", "--trainer.limit_val_batches=1",
+                "--trainer.enable_progress_bar=false", "--trainer.accelerator=cpu",
+                f"--model.init_args.optimizer.init_args.lr={0.003 if name == 'one' else 0.001}",
+                f"--trainer.logger.init_args.save_dir={folder}",
+                f"--trainer.logger.init_args.name={name}", "--trainer.logger.init_args.version=",
+            ]
+        )  # fmt: skip
+        main(["test", f"--run={folder / name}", "--trainer.limit_test_batches=1"])
+    main(["predict", f"--run={folder / 'one'}", "--data.init_args.rollout_steps=3"])
+    return folder
+
+
+@pytest.fixture
+def one(runs: Path, tmp_path: Path) -> Path:
+    """A copy of the run `one`, to be damaged."""
+    return Path(shutil.copytree(runs / "one", tmp_path / "one"))
+
+
+def test_the_page_is_whole_and_asks_for_nothing(runs: Path, tmp_path: Path) -> None:
+    page = report(runs / "one", output=tmp_path)
+    assert page.all("html") == [{"lang": "en"}]
+    assert "FluidsNet: one" in page.words
+    assert len(page.all("h1")) == 1
+    addresses = [
+        value
+        for _, attributes in page.tags
+        for name, value in attributes.items()
+        if name in ("src", "href", "xlink:href", "srcset", "action", "data") and value
+    ]
+    assert all(address.startswith(("#", "data:image/png;base64,")) for address in addresses)
+    assert "@import" not in page.text and not re.search(r"url\((?!#)", page.text)
+    assert not page.all("script") and not page.all("link")
+    names = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
+    assert len(names) == len(set(names))
+    assert {address[1:] for address in addresses if address.startswith("#")} <= set(names)
+    assert "(prefers-color-scheme: dark)" in page.text
+
+
+def test_pictures_and_curves_are_within_it_and_have_words(runs: Path, tmp_path: Path) -> None:
+    page = report(runs / "one", output=tmp_path)
+    pictures = {path.read_bytes() for path in (runs / "one").glob("*.png")}
+    assert len(pictures) == 2
+    images = page.all("img")
+    assert {b64decode((image["src"] or "").partition(",")[2]) for image in images} == pictures
+    assert all(image["alt"] for image in images)
+    curves = [part for part in page.all("div") if part.get("role") == "img"]
+    # Loss, skill, learning rate.
+    assert len(curves) == len(page.all("svg")) == 3
+    assert all("over the training steps" in (curve["aria-label"] or "") for curve in curves)
+    assert all(cell["scope"] in ("row", "col") for cell in page.all("th"))
+    assert len(page.all("caption")) == len(page.all("table"))
+
+
+@pytest.mark.parametrize("table", ["one_step", "rollout", "rollout_metrics"])
+def test_tables_are_the_runs_own(table: str, runs: Path, tmp_path: Path) -> None:
+    page = report(runs / "one", output=tmp_path)
+    own, copied = (rows(folder / f"{table}.csv") for folder in (runs / "one", tmp_path))
+    assert copied[0] == own[0] and len(copied) == len(own)
+    markdown = (tmp_path / "report.md").read_text()
+    for mine, theirs in zip(copied[1:], own[1:], strict=True):
+        for one, other in zip(mine, theirs, strict=True):
+            try:
+                assert float(one) == float(other)
+                assert shown(float(other)) in page.words and shown(float(other)) in markdown
+            except ValueError:
+                assert one == other
+                assert one in page.words and one in markdown
+
+
+def test_the_curves_are_those_of_the_training_alone(one: Path, tmp_path: Path) -> None:
+    history = read_history(one)
+    assert [step for step, _ in history.curves["train/loss"]] == [0, 1, 2, 3]
+    assert [step for step, _ in history.curves["val/skill"]] == [1, 3]
+    # A later validation logs the same tags at step 0.
+    with SummaryWriter(one) as writer:
+        writer.add_scalar("val/skill", 0.5, 0)
+    assert read_history(one).curves == history.curves
+    # A training that is resumed logs from where its checkpoint was.
+    with SummaryWriter(one, filename_suffix=".resumed") as writer:
+        writer.add_scalar("train/loss", 7.0, 2)
+        writer.add_scalar("train/loss", float("nan"), 3)
+    curves = read_history(one).curves
+    assert [step for step, _ in curves["train/loss"]] == [0, 1, 2, 3]
+    assert curves["train/loss"][2] == (2, 7.0)
+    assert curves["val/skill"] == history.curves["val/skill"][:1]
+    assert "one: train/loss is not finite at step 3" in report(one, output=tmp_path / "r").text
+
+
+def test_settings_are_compared_with_what_is_shipped() -> None:
+    base = shipped()
+    assert base["model.target"].value == "VelocityTarget"
+    assert changed(base, base) is None
+    run = flat(
+        {
+            "seed_everything": 0,
+            "model": {
+                "class_path": "fluidsnet.FluidsNet",
+                "init_args": {
+                    "local": {
+                        "class_path": "fluidsnet.features.NeighborMean",
+                        "init_args": {"width": 11},
+                    },
+                    "target": {"class_path": "fluidsnet.target.DisplacementTarget"},
+                    "walls": {"class_path": "nowhere.Walls", "init_args": {"a": 1}},
+                    "head": [32, 16, 8],
+                },
+            },
+            "trainer": {"callbacks": [{"class_path": "callbacks.OneStepTable"}], "max_epochs": 3},
+        }
+    )  # fmt: skip
+    grid = changed(run, base)
+    assert grid is not None
+    found = {row[0]: row[1:] for row in grid.rows}
+    assert found["model.local.width"] == ("11", "9")
+    assert found["model.target"] == ("DisplacementTarget", "VelocityTarget")
+    assert found["model.walls"] == ("Walls", "OpenWalls")
+    # A class that is gone has no defaults.
+    assert found["model.walls.a"] == ("1", "null")
+    assert found["trainer.callbacks.RolloutMetrics"] == ("–", "RolloutMetrics")
+    assert found["trainer.max_epochs"] == ("3", "-1")
+    assert "model.head" not in found and "trainer.callbacks.OneStepTable" not in found
+    assert differing({"a": run, "b": run}) is None
+
+
+def test_a_run_says_what_it_changed_and_what_its_data_are(runs: Path, tmp_path: Path) -> None:
+    page = report(runs / "one", output=tmp_path)
+    settings = {row[0]: row[1:] for row in rows(tmp_path / "settings.csv")}
+    assert settings["trainer.max_steps"] == ["4", "2400"]
+    assert not any(name.startswith("model") for name in settings)
+    assert (runs / "one" / "config.yaml").read_text().strip() in page.words
+    data = rows(tmp_path / "data.csv")
+    assert [row[:2] for row in data] == [
+        ["split", "simulations"], ["train", "3"], ["val", "1"], ["test", "1"],
+    ]  # fmt: skip
+    assert any("a step every 20 ms" in words for words in page.words)
+
+
+def test_several_runs_stand_side_by_side(runs: Path, tmp_path: Path) -> None:
+    page = report(runs / "one", runs / "two", output=tmp_path)
+    table = rows(tmp_path / "one_step.csv")
+    assert table[0][:3] == ["one step ahead", "skill, one", "skill, two"]
+    mine = {row[0]: dict(zip(table[0], row, strict=True)) for row in table[1:]}
+    assert list(mine) == ["model", "acceleration", "constant velocity", "ballistic"]
+    for name in ("one", "two"):
+        for row in rows(runs / name / "one_step.csv")[1:]:
+            assert float(mine[row[0]][f"skill, {name}"]) == float(row[1])
+    assert mine["acceleration"]["skill, one"] == "–"
+    assert not any("other frames" in words for words in page.words)
+    settings = {row[0]: row[1:] for row in rows(tmp_path / "settings_that_differ.csv")}
+    assert settings["setting"] == ["one", "two"]
+    assert settings["model.optimizer.lr"] == ["0.003", "0.001"]
+    assert settings["trainer.callbacks.Ablation"] == ["–", "Ablation"]
+    assert "one: train/loss" in page.words and "two: train/loss" in page.words
+    assert "two has no rollout.csv" in page.text
+    ablation = {row[0]: row[1:] for row in rows(tmp_path / "ablation_two.csv")}
+    assert ablation["two"] == ["model", "acceleration"]
+    curves = read_history(runs / "two").curves
+    for column, who in enumerate(ablation["two"]):
+        assert float(ablation["skill, last"][column]) == curves[f"ablation/skill/{who}"][-1][1]
+        assert float(ablation["cost/step_seconds"][column]) > 0
+    assert "two has the same data as one." in page.words
+
+
+def test_runs_on_other_frames_are_not_compared(runs: Path, one: Path, tmp_path: Path) -> None:
+    path = one / "one_step.csv"
+    path.write_text(path.read_text().replace("constant velocity,0.0,0", "constant velocity,0.0,1"))
+    page = report(runs / "one", one, output=tmp_path / "report")
+    assert any("must not be set beside each other" in words for words in page.words)
+
+
+def test_what_is_missing_is_said_in_a_line(one: Path, tmp_path: Path) -> None:
+    for path in one.iterdir():
+        if path.is_file() and path.name != "config.yaml":
+            path.unlink()
+    page = report(one, output=tmp_path / "report")
+    missing = sum(part.get("class") == "missing" for part in page.all("p"))
+    # A glance, one step, rollouts, metrics, pictures, training, ablations.
+    assert missing == 7
+    assert not page.all("svg") and not page.all("img")
+    for words in ("one has no one_step.csv: fluidsnet test", "one has no pictures"):
+        assert words in page.text
+
+
+def test_files_that_are_damaged_are_named(one: Path, tmp_path: Path) -> None:
+    (one / "config.yaml").write_text("model: [")
+    (one / "one_step.csv").write_text("a,b\n1\n")
+    (one / "rollout.csv").write_bytes(b"\xff\xfe\x00")
+    event = min(one.glob("events*"))
+    event.write_bytes(event.read_bytes()[:-20])
+    (one / "events.out.tfevents.0").write_bytes(b"nonsense" * 100)
+    (one / "rollout.png").write_bytes(b"")
+    page = report(one, output=tmp_path / "report")
+    for name in ("config.yaml", "one_step.csv", "rollout.csv", "rollout.png"):
+        assert f"{name} cannot be read" in page.text
+    # What was written before the damage is there.
+    assert "train/loss" in page.words
+
+
+def test_a_name_is_text_and_not_markup(one: Path, tmp_path: Path) -> None:
+    other = one.rename(one.with_name("<b>$a|b$"))
+    page = report(other, output=tmp_path / "report")
+    assert not page.all("b")
+    assert "FluidsNet: <b>$a|b$" in page.words
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        ((), "there is no such folder"),
+        (("run/notes.txt",), "it holds no config.yaml"),
+        (("run/version_0/config.yaml",), "such as"),
+    ],
+)
+def test_a_folder_that_is_no_run_is_one_sentence(
+    make: tuple[str, ...], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in make:
+        (tmp_path / name).parent.mkdir(parents=True)
+        (tmp_path / name).touch()
+    with pytest.raises(SystemExit) as end:
+        main(["report", str(tmp_path / "run")])
+    assert end.value.code == 1
+    said = capsys.readouterr().err
+    assert f"{tmp_path / 'run'} is not the folder of a run" in said
+    assert words in said
+    assert said.count("\n") == 1
+
+
+def test_a_report_does_not_replace_a_runs_own_files(
+    runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["report", str(runs / "one"), f"--output={runs / 'two'}"])
+    assert end.value.code == 1
+    assert "choose another --output" in capsys.readouterr().err
+    with pytest.raises(UserError, match="named twice"):
+        read_runs([runs / "one", runs / "two" / ".." / "one"])
+
+
+def test_runs_have_the_shortest_names_that_tell_them_apart() -> None:
+    assert names([Path("/runs/demo"), Path("/runs/other")]) == ["demo", "other"]
+    assert names([Path("/a/version_0")]) == ["a/version_0"]
+    assert names([Path("/x/a/b"), Path("/y/a/b")]) == ["x/a/b", "y/a/b"]
+
+
+def test_columns_that_agree_stand_once() -> None:
+    one = Grid(("steps", "model", "still"), ((1, 0.5, 2.0), (5, 0.75, 3.0)))
+    other = Grid(("steps", "model", "still"), ((1, 0.5, 2.00001), (2, 1.0, 2.5), (5, 4.0, 3.0)))
+    assert side_by_side({"a": one}) is one
+    joined = side_by_side({"a": one, "b": Grid(other.header, other.rows[::2])})
+    assert joined.header == ("steps", "model, a", "model, b", "still")
+    assert joined.rows == ((1, 0.5, 0.5, 2.0), (5, 0.75, 4.0, 3.0))
+    joined = side_by_side({"a": one, "b": other})
+    assert [row[0] for row in joined.rows] == [1, 2, 5]
+    assert joined.header[3:] == ("still, a", "still, b")
+
+
+def test_numbers_are_written_for_a_reader() -> None:
+    values = [0.0, 3, 12345, 12345.6, 0.123456, 3.8e-5, float("inf"), "–"]
+    assert [shown(value) for value in values] == [
+        "0", "3", "12,345", "12,346", "0.1235", "3.8e-05", "inf", "–",
+    ]  # fmt: skip
