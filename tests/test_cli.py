@@ -102,7 +102,8 @@ def test_every_ablation_is_compared_while_training_and_in_the_test(
     scalars = set(events.Tags()["scalars"])
     tensor = events.Tensors("custom_scalars__config__")[0].tensor_proto
     layout = Layout.FromString(tensor.string_val[0])
-    charts = {chart.title: list(chart.multiline.tag) for chart in layout.category[0].chart}
+    (category,) = (one for one in layout.category if one.title == "ablation")
+    charts = {chart.title: list(chart.multiline.tag) for chart in category.chart}
     figures = ["train_loss", "velocity_mse", "skill", "position_error_1_mm"]
     assert charts == {
         figure: [f"ablation/{figure}/model", f"ablation/{figure}/{name}"] for figure in figures
@@ -193,9 +194,7 @@ def test_data_and_scene_configs_agree_on_table_1(scene: str, size: str) -> None:
 @pytest.mark.parametrize("scene", sorted((CONFIGS / "scene").glob("*.yaml")), ids=lambda p: p.stem)
 def test_every_scene_config_draws_its_scenes(scene: Path, tmp_path: Path) -> None:
     parser = generate_parser()
-    options = parser.instantiate(
-        parser.parse_args([f"--config={scene}", f"--root={tmp_path}"])
-    )
+    options = parser.instantiate(parser.parse_args([f"--config={scene}", f"--root={tmp_path}"]))
     recipe = options.recipe
     bodies = recipe.scene.sample(np.random.default_rng(0), recipe.particle_radius)
     for body in bodies:
