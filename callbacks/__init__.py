@@ -3,9 +3,13 @@
 from callbacks.ablation import Ablation as Ablation
 from callbacks.compiled_network import CompiledNetwork as CompiledNetwork
 from callbacks.foreign_context import ForeignContext as ForeignContext
+from callbacks.hyperparameters import HyperParameters as HyperParameters
+from callbacks.loss_chart import LossChart as LossChart
 from callbacks.one_step_table import OneStepTable as OneStepTable
+from callbacks.rollout_mesh import RolloutMesh as RolloutMesh
 from callbacks.rollout_metrics import RolloutMetrics as RolloutMetrics
 from callbacks.rollout_picture import RolloutPicture as RolloutPicture
 from callbacks.rollout_progress import RolloutProgress as RolloutProgress
 from callbacks.rollout_table import RolloutTable as RolloutTable
+from callbacks.speed_monitor import SpeedMonitor as SpeedMonitor
 from callbacks.trajectory_writer import TrajectoryWriter as TrajectoryWriter

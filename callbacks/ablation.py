@@ -8,10 +8,10 @@ from copy import deepcopy
 from typing import Any
 
 from lightning import Callback, LightningModule, Trainer
-from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.utilities import rank_zero_info
 from torch import nn
 
+from callbacks.charts import Charts, ChartSource
 from callbacks.same_block import same_block
 from callbacks.training_cost import training_costs
 from fluidsnet.errors import UserError
@@ -52,7 +52,7 @@ _KINDS: dict[str, type | tuple[type, ...]] = {
 _CHARTS = ("train_loss", "velocity_mse", "skill", "position_error_1_mm")
 
 
-class Ablation(Callback):
+class Ablation(Callback, ChartSource):
     """Trains, beside the model, a twin of it with another block in one place.
 
     Both start from the same weights wherever these have a counterpart, see the same batches
@@ -134,22 +134,21 @@ class Ablation(Callback):
                 f"This FluidsNet already has a twin {self.name!r} with another {self.block}; "
                 "choose another name."
             )
-        # Of several, the first measures and draws for all.
+        # Of several, the first measures for all.
         self._first = ablations[0] is self
         self._measured = stage != "fit"
+
+    def charts(self, module: FluidsNet) -> Charts:
+        """One a figure, with all models."""
+        charts = {
+            figure: [f"ablation/{figure}/{name}" for name in module.models()] for figure in _CHARTS
+        }
+        return {"ablation": charts}
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Tells TensorBoard to draw the models into one chart a figure."""
         assert isinstance(pl_module, FluidsNet)
-        if not self._first:
-            return
-        charts = {
-            figure: ["Multiline", [f"ablation/{figure}/{name}" for name in pl_module.models()]]
-            for figure in _CHARTS
-        }
-        for logger in trainer.loggers:
-            if isinstance(logger, TensorBoardLogger):
-                logger.experiment.add_custom_scalars({"ablation": charts})
+        self.write_charts(trainer, pl_module)
 
     def on_train_batch_start(
         self, trainer: Trainer, pl_module: LightningModule, batch: Transitions, batch_idx: int

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import matplotlib.image
 import numpy as np
 from lightning.pytorch.loggers import TensorBoardLogger
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from fluidsnet.metrics.rollout_suite import Figures
 
@@ -27,8 +29,18 @@ _PANELS = (
         ("model", "integrator_floor", "constant_velocity", "ballistic"),
         True,
     ),
-    ("kinetic_energy_j_per_kg", "kinetic energy, J/kg", ("truth", "model"), False),
-    ("center_of_mass", "center of mass, relative error", ("model", "constant_velocity"), True),
+    (
+        "kinetic_energy_j_per_kg",
+        "kinetic energy, J/kg",
+        ("truth", "model", "constant_velocity", "ballistic"),
+        False,
+    ),
+    (
+        "center_of_mass",
+        "center of mass, relative error",
+        ("model", "constant_velocity", "ballistic"),
+        True,
+    ),
 )
 
 
@@ -64,6 +76,8 @@ def draw_curves(path: Path, figures: Figures, time_step: float, logger: Any) -> 
             if predictor == "model" and np.isinf(values).any():
                 axes.set_title(f"model not finite from {time[np.isinf(values).argmax()]:g} s on")
         axes.set(xlabel="time, s", ylabel=label, yscale="log" if logarithmic else "linear")
+        if not logarithmic:
+            axes.set_ylim(0, _top([figures[who][name].cpu().numpy() for who in ("truth", "model")]))
         axes.grid(alpha=0.3)
         axes.legend()
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -72,3 +86,10 @@ def draw_curves(path: Path, figures: Figures, time_step: float, logger: Any) -> 
         logger.experiment.add_image(
             "test_rollout/curves", matplotlib.image.imread(path)[..., :3], dataformats="HWC"
         )
+
+
+def _top(curves: Sequence[NDArray[Any]]) -> float:
+    """Where an axis ends that shows some curves; ballistic never lands, and may leave it."""
+    values = np.concatenate(curves)
+    values = values[np.isfinite(values)]
+    return 1.3 * float(values.max(initial=1e-3))

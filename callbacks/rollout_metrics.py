@@ -9,6 +9,7 @@ import torch
 from lightning import Callback, LightningModule, Trainer
 from tqdm import tqdm
 
+from callbacks.charts import Charts, ChartSource
 from callbacks.folder import run_folder
 from callbacks.rollout_curves import draw_curves
 from callbacks.rollout_metrics_table import write_rollout_metrics
@@ -21,19 +22,22 @@ from fluidsnet.rollout import rollout
 
 #: Numbers of steps that are logged and have a row, beside the last step.
 STEPS = (1, 2, 5, 10, 25, 50, 100)
+#: Those whose position error is drawn with the predictors' in one chart.
+CHARTED = (10, 25, 100)
 
 
-class RolloutMetrics(Callback):
+class RolloutMetrics(Callback, ChartSource):
     """Rolls the network out on held-out simulations and logs every metric of the rollouts.
 
     In validation `rollout/<metric>/<steps>`, which a ModelCheckpoint can monitor where every
     validation rolls out, and the trivial predictors and the integrator's floor as
-    `rollout/<metric>/<steps>/<predictor>`; these are measured once, as they do not change. It
-    comes before callbacks that swap weights for validation, or it measures the others.
+    `rollout_predictors/<metric>/<steps>/<predictor>`, in a group of their own, as they are many;
+    these are measured once, as they do not change. It comes before callbacks that swap weights
+    for validation, or it measures the others.
 
-    In `test` the same under `test_rollout/`; `rollout_metrics.md` and `.csv` in the run's
-    folder, a row a predictor and number of steps; and `rollout_metrics.png`, the errors and
-    energies against time, also in TensorBoard.
+    In `test` the same under `test_rollout/` and `test_rollout_predictors/`; `rollout_metrics.md`
+    and `.csv` in the run's folder, a row a predictor and number of steps; and
+    `rollout_metrics.png`, the errors and energies against time, also in TensorBoard.
 
     A rollout goes as far as it is asked to or as its truth goes, whichever is less; after some
     steps fewer simulations may be left, and the table says how many. One that turns
@@ -108,6 +112,23 @@ class RolloutMetrics(Callback):
         # Asked for by all processes, since they agree on it.
         self._folder = run_folder(trainer)
 
+    def charts(self, module: FluidsNet) -> Charts:
+        """The position errors after some of the steps, the model's and the predictors'."""
+        if not self.every_n_validations:
+            return {}
+        steps = [step for step in CHARTED if self.steps is None or step <= self.steps]
+        tag = "rollout(_predictors)?/position_error_mm/{}(/|$)"
+        return {
+            "rollout": {
+                f"position error after {step} steps, mm": [tag.format(step)] for step in steps
+            }
+        }
+
+    def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Tells TensorBoard to draw model and predictors into one chart."""
+        assert isinstance(pl_module, FluidsNet)
+        self.write_charts(trainer, pl_module)
+
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Rolls out, if it is this validation's turn, and logs."""
         if trainer.sanity_checking or self.every_n_validations == 0:
@@ -120,7 +141,7 @@ class RolloutMetrics(Callback):
         mine = {f"rollout/{name}": value for name, value in scalars.pop("model").items()}
         # All processes have the same; their mean spares a warning.
         pl_module.log_dict(mine, sync_dist=True, batch_size=1)
-        self._log(trainer, "rollout", scalars)
+        self._log(trainer, "rollout_predictors", scalars)
 
     def on_test_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Rolls out, logs, and writes the table and the figure."""
@@ -129,7 +150,8 @@ class RolloutMetrics(Callback):
             return
         longest = max(starts.steps)
         scalars = self._scalars(figures, longest)
-        self._log(trainer, "test_rollout", {"": scalars.pop("model"), **scalars})
+        self._log(trainer, "test_rollout", {"": scalars.pop("model")})
+        self._log(trainer, "test_rollout_predictors", scalars)
         time_step: float = starts[0].state.scene.time_step
         path = self._folder / "rollout_metrics"
         text = write_rollout_metrics(path, figures, starts, _rows(longest), time_step)

@@ -41,6 +41,16 @@ def free_bytes(device: torch.device) -> int:
     return max(0, min(available, left))
 
 
+def peak_bytes(device: torch.device) -> int:
+    """The most bytes taken at once so far, or since the mark was last set back.
+
+    On CUDA what torch's allocator gave out, elsewhere the resident memory of the whole process.
+    """
+    if device.type == "cuda":
+        return torch.cuda.max_memory_allocated(device)
+    return _highest()
+
+
 @final
 class PeakMemory:
     """Measures the most memory that is taken at once while its block runs, beyond what was before.

@@ -127,7 +127,11 @@ class FluidsNet(Model, LightningModule):
         scheduler = self.schedule(optimizer, total_steps(self))
         return {
             "optimizer": optimizer,
-            "lr_scheduler": {"scheduler": scheduler, "interval": "step"},
+            "lr_scheduler": {
+                "scheduler": scheduler,
+                "interval": "step",
+                "name": "train/learning_rate",  # as LearningRateMonitor logs it
+            },
         }
 
     def configure_gradient_clipping(

@@ -34,6 +34,7 @@ RANKS = {
     "fluidsnet.batched": 5,
     "fluidsnet.compiled": 5,
     "fluidsnet.checkpoint": 6,
+    "fluidsnet.logger": 6,
     "fluidsnet.one_step": 6,
     "fluidsnet.optimization": 6,
     "fluidsnet.module": 7,

@@ -102,7 +102,8 @@ def test_every_ablation_is_compared_while_training_and_in_the_test(
     scalars = set(events.Tags()["scalars"])
     tensor = events.Tensors("custom_scalars__config__")[0].tensor_proto
     layout = Layout.FromString(tensor.string_val[0])
-    charts = {chart.title: list(chart.multiline.tag) for chart in layout.category[0].chart}
+    (category,) = (one for one in layout.category if one.title == "ablation")
+    charts = {chart.title: list(chart.multiline.tag) for chart in category.chart}
     figures = ["train_loss", "velocity_mse", "skill", "position_error_1_mm"]
     assert charts == {
         figure: [f"ablation/{figure}/model", f"ablation/{figure}/{name}"] for figure in figures

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fluidsnet.export.speed_colors import speed_colormap, speed_colors, speed_scale
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.colors import Colormap
 
 Floats = NDArray[np.float64]
 
-_SPEEDS = ("#0b2fc4", "#1f63ea", "#62a4f7", "#b9dcff", "#ffffff")  # at rest ... fastest
 _BACKGROUND, _FLOOR, _LINES, _TEXT = "#0c1016", "#171d27", "#6d7a8c", "#e4e9f0"
 
 _DPI = 100
@@ -80,13 +80,12 @@ def side_by_side(
             raise ValueError(f"panel {panel.title!r}: expected (N, 3) and (N,), not {shapes}")
     # Imported here: whoever only writes files need not wait for it.
     from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import LinearSegmentedColormap, Normalize
+    from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
     from PIL import Image
 
     camera = _Camera(np.asarray(domain_lower, float), np.asarray(domain_upper, float))
-    top = _scale(panels) if speed_max is None else speed_max
-    colors = LinearSegmentedColormap.from_list("speed", _SPEEDS)
+    top = speed_scale([panel.speed for panel in panels]) if speed_max is None else speed_max
     width = 2 * (camera.width + _GAP) + _BAR
     height = len(panels) // 2 * (camera.height + _TITLE) + _GAP
     figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor=_BACKGROUND)
@@ -95,10 +94,10 @@ def side_by_side(
         left = _GAP + column * (camera.width + _GAP)
         bottom = height - (row + 1) * (camera.height + _TITLE)
         box = (left / width, bottom / height, camera.width / width, camera.height / height)
-        _draw(figure.add_axes(box), camera, panel, particle_radius, colors, top)
+        _draw(figure.add_axes(box), camera, panel, particle_radius, top)
     length = min(0.7 * height, 400) / height
     bar = figure.add_axes(((width - _BAR + 12) / width, 0.5 - length / 2, 14 / width, length))
-    shown = ScalarMappable(Normalize(0.0, top), colors)
+    shown = ScalarMappable(Normalize(0.0, top), speed_colormap())
     scale = figure.colorbar(shown, cax=bar, extend="max", extendfrac=0.03)
     scale.outline.set_visible(False)
     scale.set_label("speed, m/s", color=_TEXT, fontsize=11)
@@ -109,13 +108,6 @@ def side_by_side(
     picture = Image.open(drawing).convert("RGB")
     picture = picture.quantize(palette=picture.quantize(256), dither=Image.Dither.FLOYDSTEINBERG)
     picture.save(path, format="PNG", optimize=True)
-
-
-def _scale(panels: Sequence[Panel]) -> float:
-    """Where the scale of color ends, m/s."""
-    speeds = np.concatenate([np.asarray(panel.speed, float) for panel in panels])
-    speeds = speeds[np.isfinite(speeds)]
-    return max(float(np.quantile(speeds, 0.995)), 1e-3) if speeds.size else 1.0
 
 
 class _Camera:
@@ -165,9 +157,7 @@ class _Camera:
         return self.distance * self._pixels / depth
 
 
-def _draw(
-    axes: Axes, camera: _Camera, panel: Panel, radius: float, colors: Colormap, top: float
-) -> None:
+def _draw(axes: Axes, camera: _Camera, panel: Panel, radius: float, top: float) -> None:
     """Draws one panel: floor, far edges, particles, near edges, title."""
     corners = camera.project(camera.corners())
     floor = corners[[0, 1, 5, 4]]
@@ -182,7 +172,7 @@ def _draw(
             far = not any(facing[start >> other & 1][other] for other in {0, 1, 2} - {axis})
             order, alpha = (1, 0.5) if far else (3, 0.7)
             axes.plot(*ends[:, :2].T, color=_LINES, linewidth=1.0, zorder=order, alpha=alpha)
-    picture, drawn = _spheres(camera, panel, radius, colors, top)
+    picture, drawn = _spheres(camera, panel, radius, top)
     axes.imshow(picture, extent=(0, camera.width, camera.height, 0), zorder=2)
     axes.set_xlim(0, camera.width)
     axes.set_ylim(camera.height, 0)
@@ -194,7 +184,7 @@ def _draw(
 
 
 def _spheres(
-    camera: _Camera, panel: Panel, radius: float, colors: Colormap, top: float
+    camera: _Camera, panel: Panel, radius: float, top: float
 ) -> tuple[NDArray[np.float32], int]:
     """Draws the particles.
 
@@ -239,7 +229,7 @@ def _spheres(
     )
     normal = np.vstack([normal, np.sqrt(np.maximum(1 - (normal**2).sum(axis=0), 0))])
     light = 0.62 + 0.43 * np.clip(_TOWARDS_LIGHT @ normal, 0, 1)
-    paint = colors(np.nan_to_num(panel.speed[order] / top, nan=0.0, posinf=1.0))[:, :3]
+    paint = speed_colors(panel.speed[order], top)
     image = np.zeros((height * width, 4), dtype=np.float32)
     image[filled, :3] = np.clip(paint[who] * light[:, None], 0, 1)
     image[filled, 3] = 1

@@ -90,14 +90,15 @@ def test_every_second_validation_is_logged(
     runner.fit(FluidsNet(source.cells, context=NoContext), source)
     logged = scalars(tmp_path)
     for name, late in (
-        ("position_error_mm/3", 1),
-        ("chamfer_mm/3", 1),
-        ("mse_n_m2/1/ballistic", 0),
+        ("rollout/position_error_mm/3", 1),
+        ("rollout/chamfer_mm/3", 1),
+        ("rollout_predictors/mse_n_m2/1/ballistic", 0),
     ):
         # Lightning counts a step less in what the module logs.
-        assert [event.step + late for event in logged.Scalars(f"rollout/{name}")] == list(at)
+        assert [event.step + late for event in logged.Scalars(name)] == list(at)
     # What does not change is measured once, and logged with every rollout.
-    assert len({event.value for event in logged.Scalars("rollout/chamfer_mm/3/ballistic")}) == 1
+    others = logged.Scalars("rollout_predictors/chamfer_mm/3/ballistic")
+    assert len({event.value for event in others}) == 1
     assert len({event.value for event in logged.Scalars("rollout/chamfer_mm/3")}) > 1
 
 

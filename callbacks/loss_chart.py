@@ -1,0 +1,33 @@
+"""Training and validation loss in one chart."""
+
+from __future__ import annotations
+
+from lightning import Callback, LightningModule, Trainer
+
+from callbacks.charts import Charts, ChartSource
+from fluidsnet.errors import UserError
+from fluidsnet.module import FluidsNet
+
+
+class LossChart(Callback, ChartSource):
+    """Draws training and validation loss against iterations into one chart (paper, figure 6).
+
+    It is in TensorBoard's tab "Custom Scalars", with the charts of `RolloutMetrics` and `Ablation`.
+    """
+
+    def charts(self, module: FluidsNet) -> Charts:
+        return {"training": {"loss": ["train/loss", "val/loss"]}}
+
+    def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
+        """Checks who is trained.
+
+        Raises:
+            UserError: the module is not a FluidsNet.
+        """
+        if not isinstance(pl_module, FluidsNet):
+            raise UserError("LossChart knows the losses of FluidsNet alone.")
+
+    def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Writes the charts."""
+        assert isinstance(pl_module, FluidsNet)
+        self.write_charts(trainer, pl_module)

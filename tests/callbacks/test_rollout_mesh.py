@@ -1,0 +1,93 @@
+"""Rollouts in 3-D: which particles are shown."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from lightning import Trainer
+from lightning.pytorch.loggers import TensorBoardLogger
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.util.tensor_util import make_ndarray
+
+from callbacks import RolloutMesh, TrajectoryWriter
+from datamodules import SPHDataModule
+from fluidsnet import FluidsNet
+from fluidsnet.errors import UserError
+from fluidsnet.features import NoContext
+from fluidsnet.integrator import Integrator
+from fluidsnet.particles import Particles
+from fluidsnet.target import Motion
+
+EDGES = 12 * 60
+
+
+class LosesTwo(Integrator):
+    """Moves nothing, but one particle far away and one nowhere."""
+
+    def displacement(self, particles: Particles, motion: Motion) -> torch.Tensor:
+        moved = torch.zeros_like(particles.position)
+        moved[0], moved[1, 1] = 1000.0, torch.nan
+        return moved
+
+
+def rolled_out(sample: Path, folder: Path, mesh: RolloutMesh, **blocks: Any) -> EventAccumulator:
+    source = SPHDataModule(sample, voxel_size=0.25, rollout_steps=4)
+    model = FluidsNet(source.cells, context=NoContext, **blocks)
+    model.learn_scale(source.statistics, source.time_step)
+    Trainer(
+        accelerator="cpu",
+        devices=1,
+        logger=TensorBoardLogger(folder, name="run", version=""),
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        callbacks=[TrajectoryWriter(), mesh],
+    ).predict(model, source)
+    return EventAccumulator(str(folder / "run"), size_guidance={"tensors": 0}).Reload()
+
+
+def points(events: EventAccumulator, tag: str) -> list[np.ndarray]:
+    return [make_ndarray(event.tensor_proto)[0] for event in events.Tensors(f"rollout_3d/{tag}")]
+
+
+def test_the_same_few_particles_are_shown_each_time_and_it_is_said(
+    sample: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    events = rolled_out(sample, tmp_path, RolloutMesh(times=3, particles=50))
+    assert [e.step for e in events.Tensors("rollout_3d/truth_VERTEX")] == [0, 2, 4]
+    shown = points(events, "truth_VERTEX")
+    assert all(len(state) == 50 + EDGES for state in shown)
+    # Within a few steps of one another, so the same particles.
+    assert np.abs(shown[0] - shown[-1]).max() < 0.1
+    start = points(events, "prediction_VERTEX")[0]
+    assert np.array_equal(start, shown[0])
+    again = rolled_out(sample, tmp_path / "again", RolloutMesh(times=1, particles=50))
+    assert np.array_equal(points(again, "truth_VERTEX")[0], start)
+    (legend,) = events.Tensors("rollout_3d/legend/text_summary")
+    words = legend.tensor_proto.string_val[0].decode()
+    assert "50 of " in words and "states after 0, 2, 4 steps of 0.02 s" in words
+    assert words in capsys.readouterr().out
+
+
+def test_what_is_far_away_or_not_finite_is_left_out_and_counted(
+    sample: Path, tmp_path: Path
+) -> None:
+    events = rolled_out(sample, tmp_path, RolloutMesh(times=2), integrator=LosesTwo())
+    before, after = points(events, "prediction_VERTEX")
+    assert len(before) - len(after) == 2
+    assert np.isfinite(after).all() and np.abs(after).max() < 10
+    colors = points(events, "prediction_COLOR")
+    assert [len(paint) for paint in colors] == [len(before), len(after)]
+    (legend,) = events.Tensors("rollout_3d/legend/text_summary")
+    words = legend.tensor_proto.string_val[0].decode()
+    assert "2 times a particle of the prediction is too far away" in words
+    assert "of the truth is" not in words
+
+
+@pytest.mark.parametrize("name", ["times", "particles"])
+def test_less_than_one_is_refused(name: str) -> None:
+    with pytest.raises(UserError, match=f"{name} is 0"):
+        RolloutMesh(**{name: 0})

@@ -1,0 +1,99 @@
+"""The speed of training: what is counted, and that measuring changes nothing."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from lightning import Callback, LightningModule, Trainer
+from lightning.pytorch.loggers import TensorBoardLogger
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from torch import Tensor
+
+from callbacks import HyperParameters, LossChart, SpeedMonitor
+from datamodules import SPHDataModule
+from fluidsnet import FluidsNet
+from fluidsnet.errors import UserError
+from fluidsnet.features import NoContext
+
+
+class Slow(Callback):
+    """Takes its time: 50 ms a batch, 0.3 s a validation."""
+
+    def on_train_batch_start(self, *_: Any) -> None:
+        time.sleep(0.05)
+
+    def on_validation_epoch_end(self, *_: Any) -> None:
+        time.sleep(0.3)
+
+
+def fit(sample: Path, folder: Path, *callbacks: Callback, **changes: Any) -> dict[str, Tensor]:
+    """Weights after eight batches, with two validations on the way."""
+    torch.manual_seed(0)
+    source = SPHDataModule(sample, voxel_size=0.25, batch_size=1, sample_every=6, steps=2)
+    model = FluidsNet(source.cells, context=NoContext)
+    Trainer(
+        **{
+            "accelerator": "cuda" if torch.cuda.is_available() else "cpu",
+            "devices": 1,
+            "logger": TensorBoardLogger(folder, name="run", version=""),
+            "enable_checkpointing": False,
+            "enable_progress_bar": False,
+            "enable_model_summary": False,
+            "num_sanity_val_steps": 1,
+            "limit_val_batches": 1,
+            "max_epochs": 2,
+            "limit_train_batches": 4,
+            "log_every_n_steps": 2,
+            "callbacks": list(callbacks),
+            **changes,
+        }
+    ).fit(model, source)
+    return model.state_dict()
+
+
+def speeds(folder: Path) -> dict[str, list[tuple[int, float]]]:
+    events = EventAccumulator(str(folder / "run"), size_guidance={"scalars": 0}).Reload()
+    return {
+        tag.partition("/")[2]: [(event.step, event.value) for event in events.Scalars(tag)]
+        for tag in events.Tags()["scalars"]
+        if tag.startswith("speed/")
+    }
+
+
+def test_training_is_the_same_with_and_without_it(sample: Path, tmp_path: Path) -> None:
+    alone = fit(sample, tmp_path / "alone")
+    watched = fit(sample, tmp_path / "watched", SpeedMonitor())
+    assert all(torch.equal(value, watched[name]) for name, value in alone.items())
+
+
+def test_batches_count_and_validations_do_not(sample: Path, tmp_path: Path) -> None:
+    fit(sample, tmp_path, SpeedMonitor(), Slow())
+    found = speeds(tmp_path)
+    # A validation follows the second interval; the first one lacks the first step.
+    assert [step for step, _ in found["step_seconds"]] == [1, 3, 5, 7]
+    assert all(0.05 < value < 0.15 for _, value in found["step_seconds"])
+    # One frame, two steps of each particle.
+    for (_, particles), (_, steps) in zip(
+        found["particles_per_second"], found["steps_per_second"], strict=True
+    ):
+        assert (particles / steps) / 2 == pytest.approx(round(particles / steps / 2), abs=0.6)
+        assert 2 * 200 < particles / steps < 2 * 2000
+    assert all(value > 50 for _, value in found["peak_memory_mb"])
+
+
+def test_a_step_may_be_several_batches(sample: Path, tmp_path: Path) -> None:
+    fit(sample, tmp_path, SpeedMonitor(), Slow(), accumulate_grad_batches=2, log_every_n_steps=1)
+    found = speeds(tmp_path)
+    # The first of four is left out.
+    assert len(found["step_seconds"]) == 3
+    assert all(value > 0.1 for _, value in found["step_seconds"])
+
+
+@pytest.mark.parametrize("callback", [SpeedMonitor, HyperParameters, LossChart])
+def test_another_module_is_refused(callback: type[Callback]) -> None:
+    with pytest.raises(UserError, match="of FluidsNet alone"):
+        callback().setup(Trainer(logger=False), LightningModule(), "fit")
