@@ -14,6 +14,8 @@ PATTERN = "events.out.tfevents.*"
 
 #: A session that logged this trained; others tested, or validated a checkpoint once.
 TRAINED = "train/loss"
+#: The learning rate, with twins one of each model.
+RATE = "train/learning_rate"
 
 Curve = tuple[tuple[int, float], ...]
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from callbacks.table import Cell
 from fluidsnet.report.curves import Line, draw
 from fluidsnet.report.document import Chart, Note, Part, Section, Table
-from fluidsnet.report.events import TRAINED, Curve, finite, tags
+from fluidsnet.report.events import RATE, TRAINED, Curve, finite, tags
 from fluidsnet.report.grid import NONE, Grid, shown
 from fluidsnet.report.run import Run
 
@@ -65,8 +65,8 @@ def ablation_section(runs: Sequence[Run]) -> Section:
 
 def _rates(runs: Sequence[Run]) -> tuple[str, ...]:
     # With twins a rate each, all the same.
-    own = [tag for tag in tags([run.history for run in runs], "lr-")]
-    return tuple(tag for tag in own if "/" not in tag or tag.endswith("/model"))
+    own = tags([run.history for run in runs], RATE)
+    return tuple(tag for tag in own if tag in (RATE, f"{RATE}/model"))
 
 
 def _rolled(runs: Sequence[Run]) -> tuple[str, ...]:
@@ -87,7 +87,7 @@ def _chart(caption: str, label: str, names: Sequence[str], runs: Sequence[Run]) 
         for tag in names:
             if tag in run.history.curves:
                 words = f"{run.name}: {tag}" if len(runs) > 1 else tag
-                rare = not tag.startswith(("train/", "lr-"))
+                rare = not tag.startswith("train/")
                 lines.append(Line(words, run.history.curves[tag], color, rare))
     return _drawn(caption, label, lines)
 
@@ -111,7 +111,7 @@ def _rows(run: Run, named: bool) -> list[tuple[Cell, ...]]:
     for tag in (*wanted, *_rolled([run]), *_rates([run])):
         curve = run.history.curves.get(tag, ())
         if curve:
-            best = best_of(tag, curve) if not tag.startswith("lr-") else None
+            best = best_of(tag, curve) if not tag.startswith(RATE) else None
             step, value = best if best is not None else ("", "")
             name = f"{run.name}: {tag}" if named else tag
             rows.append((name, len(curve), curve[0][1], value, step, curve[-1][1]))
