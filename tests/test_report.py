@@ -206,7 +206,7 @@ def test_settings_are_compared_with_what_is_shipped() -> None:
     assert found["model.target"] == ("DisplacementTarget", "VelocityTarget")
     assert found["model.walls"] == ("Walls", "OpenWalls")
     # A class that is gone has no defaults.
-    assert found["model.walls.a"] == ("1", "null")
+    assert found["model.walls.a"] == ("1", "–")
     assert found["trainer.callbacks.RolloutMetrics"] == ("–", "RolloutMetrics")
     assert found["trainer.max_epochs"] == ("3", "-1")
     assert "model.head" not in found and "trainer.callbacks.OneStepTable" not in found

@@ -11,6 +11,7 @@ from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from fluidsnet.report.events import Curve, finite
 
@@ -65,7 +66,7 @@ def draw(lines: Sequence[Line], label: str, name: str) -> str:
         an ``<svg>`` element.
     """
     with matplotlib.rc_context({**_STYLE, "svg.hashsalt": name}):
-        figure = Figure(figsize=(5.2, 3.1), layout="constrained")
+        figure = Figure(figsize=(4.5, 2.9), layout="constrained")
         axes = figure.add_subplot()
         for line in lines:
             axes.plot(
@@ -82,17 +83,31 @@ def draw(lines: Sequence[Line], label: str, name: str) -> str:
         values = [value for line in lines for value in finite(line.curve)]
         if values and min(values) > 0 and max(values) > 10 * min(values):
             axes.set_yscale("log")
-        elif values and min(values) < -10:
+            axes.yaxis.set_major_formatter(_Plain())
+            axes.yaxis.set_minor_formatter(_Plain(minor_thresholds=(2, 0.5)))
+        elif values and min(values) < -100:
             axes.set_yscale("symlog", linthresh=1.0)
+            axes.yaxis.set_major_formatter("{x:g}")
         axes.set_xlabel("training step")
         axes.set_ylabel(label)
         axes.grid(alpha=0.2)
         axes.spines[["top", "right"]].set_visible(False)
-        if len(lines) > 1:
+        if len(lines) == 2:
             axes.legend(fontsize=9)
+        elif len(lines) > 2:
+            # They would cover the curves.
+            figure.set_figheight(2.9 + 0.2 * len(lines) / 2)
+            figure.legend(loc="outside lower center", ncols=2, fontsize=9)
         drawn = io.StringIO()
         figure.savefig(drawn, format="svg", transparent=True)
     return _for_page(drawn.getvalue(), name)
+
+
+class _Plain(LogFormatter):
+    """Numbers without exponents; those between decades where there are few decades."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return f"{x:g}" if super().__call__(x, pos) else ""
 
 
 def _marked(line: Line) -> bool:

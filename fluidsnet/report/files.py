@@ -27,7 +27,8 @@ def write_report(document: Document, folder: Path) -> Path:
     lines = [f"# {document.title}", "", document.lead]
     written: set[str] = set()
     for section in document.sections:
-        lines += ["", f"## {section.title}"]
+        if any(isinstance(part, Note | Table) for part in section.parts):
+            lines += ["", f"## {section.title}"]
         for part in section.parts:
             if isinstance(part, Note):
                 lines += ["", part.text]

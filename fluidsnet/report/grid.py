@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from callbacks.table import Cell
+
+Key = TypeVar("Key", bound=Cell)
 
 #: Of a cell that has no value.
 NONE = "–"
@@ -71,10 +74,9 @@ def side_by_side(grids: Mapping[str, Grid]) -> Grid:
     first = next(iter(grids.values()))
     if len(grids) == 1:
         return first
-    keys = _union([grid.column(grid.header[0]) for grid in grids.values()])
+    keys = union([grid.column(grid.header[0]) for grid in grids.values()])
     header, columns = [first.header[0]], [list(keys)]
-    for name in _union([grid.header[1:] for grid in grids.values()]):
-        assert isinstance(name, str)
+    for name in union([grid.header[1:] for grid in grids.values()]):
         found = {run: _values(grid, name, keys) for run, grid in grids.items()}
         values = list(found.values())
         if all(_same(values[0], other) for other in values[1:]):
@@ -86,6 +88,20 @@ def side_by_side(grids: Mapping[str, Grid]) -> Grid:
                 header.append(f"{name}, {run}")
                 columns.append(column)
     return Grid(tuple(header), tuple(zip(*columns, strict=True)))
+
+
+def union(lists: Iterable[Iterable[Key]]) -> list[Key]:
+    """What is in any list, each once, a later list's news after what they follow there."""
+    found: list[Key] = []
+    for cells in lists:
+        place = 0
+        for cell in cells:
+            if cell in found:
+                place = found.index(cell) + 1
+            else:
+                found.insert(place, cell)
+                place += 1
+    return found
 
 
 def near(one: Cell, other: Cell) -> bool:
@@ -102,20 +118,6 @@ def _cell(text: str) -> Cell:
         except ValueError:
             continue
     return text
-
-
-def _union(lists: Sequence[Sequence[Cell]]) -> list[Cell]:
-    """What is in any list, each once, a later list's news after what they follow there."""
-    found: list[Cell] = []
-    for cells in lists:
-        place = 0
-        for cell in cells:
-            if cell in found:
-                place = found.index(cell) + 1
-            else:
-                found.insert(place, cell)
-                place += 1
-    return found
 
 
 def _values(grid: Grid, name: str, keys: Sequence[Cell]) -> list[Cell]:

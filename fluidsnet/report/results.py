@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 from callbacks.table import Cell
 from fluidsnet.report.document import Note, Part, Picture, Section, Table
-from fluidsnet.report.events import TRAINED
 from fluidsnet.report.grid import NONE, Grid, near, side_by_side
 from fluidsnet.report.run import TABLES, Run
 from fluidsnet.report.training import best_of
@@ -98,7 +97,8 @@ _GLANCE = (
 
 def _glance(run: Run) -> list[Cell]:
     curves = run.history.curves
-    steps: Cell = curves[TRAINED][-1][0] + 1 if TRAINED in curves else NONE
+    # The first step is 0; losses are logged every few, a validation after the last.
+    steps: Cell = max((curve[-1][0] + 1 for curve in curves.values()), default=NONE)
     minutes: Cell = run.history.seconds / 60 if curves else NONE
     best = best_of("val/skill", curves.get("val/skill", ()))
     where, skill = best if best is not None else (NONE, NONE)

@@ -16,7 +16,7 @@ from lightning import Trainer
 import fluidsnet
 from callbacks.table import Cell
 from fluidsnet.cli import SEED
-from fluidsnet.report.grid import NONE, Grid
+from fluidsnet.report.grid import NONE, Grid, union
 
 #: The files that say what is shipped, in the folder `configs` of the repository.
 SHIPPED = ("trainer.yaml", "model/paper.yaml")
@@ -71,9 +71,10 @@ def changed(run: Mapping[str, Setting], base: Mapping[str, Setting]) -> Grid | N
     """
     rows = []
     for name, setting in run.items():
+        known = name in base or setting.default is not None
         expected = base[name].value if name in base else setting.default
         if setting.value != expected:
-            rows.append((name, _words(setting.value), _words(expected)))
+            rows.append((name, _words(setting.value), _words(expected) if known else NONE))
     for name, setting in base.items():
         if setting.listed and name not in run:
             rows.append((name, NONE, _words(setting.value)))
@@ -90,7 +91,7 @@ def differing(runs: Mapping[str, Mapping[str, Setting]]) -> Grid | None:
         name, and each one's value; None where nothing differs.
     """
     rows = []
-    for name in dict.fromkeys(name for settings in runs.values() for name in settings):
+    for name in union(runs.values()):
         values = [
             _words(settings[name].value) if name in settings else NONE for settings in runs.values()
         ]
