@@ -24,6 +24,8 @@ from fluidsnet.module import FluidsNet
 
 Plain = bool | int | float | str
 
+#: What figures depend on; TensorBoard sorts by name and shows the first five unless told otherwise.
+_BLOCKS = ("context", "integrator", "local", "noise", "target", "walls")
 #: Of the data module, by its own names.
 _OF_DATA = ("stride", "time_step", "voxel_size", "steps", "batch_size")
 
@@ -98,26 +100,27 @@ def hyperparameters(trainer: Trainer, module: FluidsNet) -> dict[str, Plain]:
         module: that it trains.
     """
     found: dict[str, Plain] = {}
-    for name, block in module.blocks().items():
-        found[name] = "none" if block is None else type(block).__name__
-    found["head"] = " ".join(map(str, module.network.head.widths[1:-1]))
-    found["k"] = module.network.neighbors.k
-    found["weights"] = sum(
+    for name in _BLOCKS:
+        block = module.blocks()[name]
+        found[f"block/{name}"] = "none" if block is None else type(block).__name__
+    found["model/head"] = " ".join(map(str, module.network.head.widths[1:-1]))
+    found["model/k"] = module.network.neighbors.k
+    found["model/weights"] = sum(
         weight.numel() for name, weight in module.named_parameters() if name[:6] != "twins."
     )
     data = getattr(trainer, "datamodule", None)
-    found |= {name: getattr(data, name) for name in _OF_DATA if hasattr(data, name)}
+    found |= {f"data/{name}": getattr(data, name) for name in _OF_DATA if hasattr(data, name)}
     optimizer = trainer.optimizers[0]
     group = optimizer.param_groups[0]
-    found["optimizer"] = type(optimizer).__name__
     # What the schedule starts from, where there is one.
-    found["learning_rate"] = float(group.get("initial_lr", group["lr"]))
-    found["weight_decay"] = float(group.get("weight_decay", 0.0))
+    found["train/learning_rate"] = float(group.get("initial_lr", group["lr"]))
+    found["train/optimizer"] = type(optimizer).__name__
+    found["train/weight_decay"] = float(group.get("weight_decay", 0.0))
     for config in trainer.lr_scheduler_configs[:1]:
-        found["schedule"] = type(config.scheduler).__name__
-    found["precision"] = str(trainer.precision)
-    found["processes"] = trainer.world_size
-    found["seed"] = int(os.environ.get("PL_GLOBAL_SEED", -1))
+        found["train/schedule"] = type(config.scheduler).__name__
+    found["train/precision"] = str(trainer.precision)
+    found["train/processes"] = trainer.world_size
+    found["train/seed"] = int(os.environ.get("PL_GLOBAL_SEED", -1))
     return found
 
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib.image
 import numpy as np
 from lightning.pytorch.loggers import TensorBoardLogger
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -22,7 +22,8 @@ _COLORS = {
     "truth": "#111111",
 }
 # A metric's name, the axis's label, whose curves are drawn, whether the axis is logarithmic.
-_PANELS = (
+_Panel = tuple[str, str, tuple[str, ...], bool]
+_PANELS: tuple[_Panel, ...] = (
     (
         "position_error_mm",
         "position error, mm",
@@ -56,36 +57,39 @@ def draw_curves(path: Path, figures: Figures, time_step: float, logger: Any) -> 
         logger: the trainer's; TensorBoard's gets the picture.
     """
     figure = Figure(figsize=(15, 4.2), dpi=100, layout="constrained")
-    for axes, (name, label, predictors, logarithmic) in zip(
-        figure.subplots(1, len(_PANELS)), _PANELS, strict=True
-    ):
-        for predictor in predictors:
-            values = figures[predictor][name].cpu().numpy()
-            time = time_step * np.arange(1, len(values) + 1)
-            # A floor of zero has no place on a logarithmic axis.
-            drawn = np.where(
-                np.isfinite(values) & ((values > 0) | (not logarithmic)), values, np.nan
-            )
-            axes.plot(
-                time,
-                drawn,
-                color=_COLORS[predictor],
-                label=predictor.replace("_", " "),
-                marker="." if len(values) == 1 else None,
-            )
-            if predictor == "model" and np.isinf(values).any():
-                axes.set_title(f"model not finite from {time[np.isinf(values).argmax()]:g} s on")
-        axes.set(xlabel="time, s", ylabel=label, yscale="log" if logarithmic else "linear")
-        if not logarithmic:
-            axes.set_ylim(0, _top([figures[who][name].cpu().numpy() for who in ("truth", "model")]))
-        axes.grid(alpha=0.3)
-        axes.legend()
+    for axes, panel in zip(figure.subplots(1, len(_PANELS)), _PANELS, strict=True):
+        _draw(axes, panel, figures, time_step)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path)
     if isinstance(logger, TensorBoardLogger):
-        logger.experiment.add_image(
-            "test_rollout/curves", matplotlib.image.imread(path)[..., :3], dataformats="HWC"
+        # Each by itself: TensorBoard shows pictures small.
+        for panel in _PANELS:
+            alone = Figure(figsize=(5.4, 4.2), dpi=100, layout="constrained")
+            _draw(alone.subplots(), panel, figures, time_step)
+            logger.experiment.add_figure(f"test_rollout/{panel[0]}", alone, close=False)
+
+
+def _draw(axes: Axes, panel: _Panel, figures: Figures, time_step: float) -> None:
+    name, label, predictors, logarithmic = panel
+    for predictor in predictors:
+        values = figures[predictor][name].cpu().numpy()
+        time = time_step * np.arange(1, len(values) + 1)
+        # A floor of zero has no place on a logarithmic axis.
+        drawn = np.where(np.isfinite(values) & ((values > 0) | (not logarithmic)), values, np.nan)
+        axes.plot(
+            time,
+            drawn,
+            color=_COLORS[predictor],
+            label=predictor.replace("_", " "),
+            marker="." if len(values) == 1 else None,
         )
+        if predictor == "model" and np.isinf(values).any():
+            axes.set_title(f"model not finite from {time[np.isinf(values).argmax()]:g} s on")
+    axes.set(xlabel="time, s", ylabel=label, yscale="log" if logarithmic else "linear")
+    if not logarithmic:
+        axes.set_ylim(0, _top([figures[who][name].cpu().numpy() for who in ("truth", "model")]))
+    axes.grid(alpha=0.3)
+    axes.legend()
 
 
 def _top(curves: Sequence[NDArray[Any]]) -> float:

@@ -9,15 +9,12 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from numpy.typing import NDArray
 
 from callbacks.folder import rollout_file, run_folder
+from callbacks.stage import Stage
 from fluidsnet.errors import UserError
 from fluidsnet.export.speed_colors import speed_colors, speed_scale
 from fluidsnet.export.vtkhdf import read_frame
 from fluidsnet.particles import RolloutStart
 from fluidsnet.rollout import RolloutObserver
-from fluidsnet.scene import Scene
-
-_EDGES = (109, 122, 140)  # red, green, blue of the domain's edges
-_EDGE_POINTS = 60  # points along an edge
 
 Floats = NDArray[np.float32]
 
@@ -25,10 +22,11 @@ Floats = NDArray[np.float32]
 class RolloutMesh(Callback, RolloutObserver):
     """After ``predict``, shows the first rollout and its truth in TensorBoard's tab "Mesh".
 
-    Particles are points, colored by their speed from blue to white (paper, figure 12), in a box
-    of grey points, the domain. `rollout_3d/truth` and `rollout_3d/prediction` have one scale of
-    color, and the number of steps of the rollout as their step; the text `rollout_3d/legend`
-    says what is seen. It reads the files of `TrajectoryWriter`, which must come before it.
+    Particles are points, colored by their speed from blue to white (paper, figure 12), in a
+    domain of grey points. The truth is on the left and the prediction on the right of one scene,
+    `rollout_3d/truth_and_prediction`, so that they turn together; its step is the number of the
+    rollout's. The text `rollout_3d/legend` says what is seen. It reads the files of
+    `TrajectoryWriter`, which must come before it.
 
     Args:
         times: how many states are shown, spread evenly over the truth. TensorBoard shows ten
@@ -78,23 +76,28 @@ class RolloutMesh(Callback, RolloutObserver):
             states["prediction", step] = position[shown], data["velocity"][shown]
         speeds = {key: np.linalg.norm(velocity, axis=1) for key, (_, velocity) in states.items()}
         top = speed_scale(list(speeds.values()))
-        box = _edges(scene)
+        stage = Stage(scene)
         lost = {"truth": 0, "prediction": 0}
-        config = {"material": {"cls": "PointsMaterial", "size": 2 * scene.particle_radius}}
-        for (who, step), (position, _) in states.items():
-            near = _near(position, scene)
-            lost[who] += int((~near).sum())
-            colors = np.rint(255 * speed_colors(speeds[who, step][near], top))
-            grey = np.broadcast_to(_EDGES, box.shape)
-            points = torch.from_numpy(np.concatenate([position[near], box]))[None]
-            paint = torch.from_numpy(np.concatenate([colors, grey]).astype(np.uint8))[None]
+        for step in steps:
+            points, paint = [stage.points], [stage.colors]
+            for who, shift in zip(lost, stage.shifts, strict=True):
+                position, speed = states[who, step][0], speeds[who, step]
+                near = stage.near(position)
+                lost[who] += int((~near).sum())
+                points.append(position[near] + shift)
+                paint.append(np.rint(255 * speed_colors(speed[near], top)).astype(np.uint8))
             for logger in loggers:
                 logger.experiment.add_mesh(
-                    f"rollout_3d/{who}", points, paint, config_dict=config, global_step=step
+                    "rollout_3d/truth_and_prediction",
+                    torch.from_numpy(np.concatenate(points))[None],
+                    torch.from_numpy(np.concatenate(paint))[None],
+                    config_dict=stage.config,
+                    global_step=step,
                 )
         legend = (
-            f"Simulation /{start.name}, states after {', '.join(map(str, steps))} steps of "
-            f"{scene.time_step:g} s. {len(shown)} of {len(start.state)} particles are shown; "
+            f"Truth (left) and prediction of simulation /{start.name} after "
+            f"{', '.join(map(str, steps))} steps of {scene.time_step:g} s. "
+            f"{len(shown)} of {len(start.state)} particles are shown; "
             f"blue is at rest, white {top:.2g} m/s and faster."
         )
         legend += "".join(
@@ -110,31 +113,3 @@ class RolloutMesh(Callback, RolloutObserver):
         """Rows of the particles that are shown, ascending."""
         rows = np.random.default_rng(0).permutation(particles)[: self.particles]
         return np.sort(rows)
-
-
-def _near(position: Floats, scene: Scene) -> NDArray[np.bool_]:
-    """Which particles are no farther from the domain than it is wide, (N,).
-
-    The view takes in whatever there is: a single one far away would make the others a dot.
-    """
-    lower, upper = scene.domain_lower.cpu().numpy(), scene.domain_upper.cpu().numpy()
-    width = upper - lower
-    with np.errstate(invalid="ignore"):
-        inside = (position >= lower - width) & (position <= upper + width)
-    near: NDArray[np.bool_] = inside.all(axis=1)
-    return near
-
-
-def _edges(scene: Scene) -> Floats:
-    """Points along the domain's twelve edges, (E, 3) m."""
-    along = np.linspace(0, 1, _EDGE_POINTS)
-    points = []
-    for axis in range(3):
-        for corner in range(4):
-            edge = np.empty((_EDGE_POINTS, 3))
-            edge[:, axis] = along
-            edge[:, (axis + 1) % 3] = corner & 1
-            edge[:, (axis + 2) % 3] = corner >> 1
-            points.append(edge)
-    lower, upper = scene.domain_lower.cpu().numpy(), scene.domain_upper.cpu().numpy()
-    return np.asarray(lower + np.concatenate(points) * (upper - lower), np.float32)

@@ -23,7 +23,7 @@ from fluidsnet.rollout import rollout
 #: Numbers of steps that are logged and have a row, beside the last step.
 STEPS = (1, 2, 5, 10, 25, 50, 100)
 #: Those whose position error is drawn with the predictors' in one chart.
-CHARTED = (10, 25, 100)
+CHARTED = (1, 10, 25)
 
 
 class RolloutMetrics(Callback, ChartSource):
