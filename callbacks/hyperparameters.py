@@ -34,7 +34,8 @@ class HyperParameters(Callback):
     """Shows a run's blocks and settings beside its metrics, a run a row (tab "HParams").
 
     They are written when training starts; TensorBoard then shows the latest value of each metric,
-    also of a later ``test`` of the run, and nothing for one that is not logged.
+    also of a later ``test`` of the run, and nothing for one that is not logged. The logger needs
+    ``default_hp_metric: false``, or Lightning writes others first, and TensorBoard reads the first.
 
     Args:
         metrics: tags of scalars.
@@ -79,7 +80,7 @@ class HyperParameters(Callback):
         self, trainer: Trainer, pl_module: LightningModule, exception: BaseException
     ) -> None:
         """Notes that it did not."""
-        if trainer.training:
+        if trainer.state.fn == "fit":
             self._write(trainer, _ended(STATUS_FAILURE))
 
     @staticmethod
