@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from lightning import Callback, LightningModule, Trainer
+from lightning import LightningModule, Trainer
 from lightning.pytorch.loggers import TensorBoardLogger
 from numpy.typing import NDArray
 
-from callbacks.folder import rollout_file, run_folder
+from callbacks.first_rollout import FirstRollout
+from callbacks.folder import rollout_file
 from callbacks.stage import Stage
 from fluidsnet.errors import UserError
 from fluidsnet.export.speed_colors import speed_colors, speed_scale
 from fluidsnet.export.vtkhdf import read_frame
-from fluidsnet.particles import RolloutStart
-from fluidsnet.rollout import RolloutObserver
 
 Floats = NDArray[np.float32]
 
 
-class RolloutMesh(Callback, RolloutObserver):
+class RolloutMesh(FirstRollout):
     """After ``predict``, shows the first rollout and its truth in TensorBoard's tab "Mesh".
 
     Particles are points, colored by their speed from blue to white (paper, figure 12), in a
@@ -42,29 +41,16 @@ class RolloutMesh(Callback, RolloutObserver):
             if value < 1:
                 raise UserError(f"RolloutMesh: {name} is {value}; it must be at least 1.")
         self.times, self.particles = times, particles
-        self._first: RolloutStart | None = None
-
-    def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        """Learns the run's folder."""
-        self._folder = run_folder(trainer)
-
-    def on_predict_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Forgets earlier rollouts."""
-        self._first = None
-
-    def on_rollout_start(self, start: RolloutStart) -> None:
-        """Keeps the first start."""
-        self._first = self._first or start
 
     def on_predict_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Writes the states."""
-        # Of several processes, the one whose rollouts have the first among them.
-        if self._first is None or not trainer.is_global_zero:
+        start = self.first(trainer)
+        if start is None:
             return
         loggers = [one for one in trainer.loggers if isinstance(one, TensorBoardLogger)]
         if not loggers:
             return
-        start, scene = self._first, self._first.state.scene
+        scene = start.state.scene
         shown = self._drawn(len(start.state))
         last = min(start.steps, len(start.truth) - 1)
         steps = sorted(set(np.linspace(0, last, self.times).round().astype(int).tolist()))
@@ -72,7 +58,7 @@ class RolloutMesh(Callback, RolloutObserver):
         for step in steps:
             position, velocity = (value.numpy() for value in start.truth[step])
             states["truth", step] = position[shown], velocity[shown]
-            position, data = read_frame(rollout_file(self._folder, start.name), step)
+            position, data = read_frame(rollout_file(self.folder, start.name), step)
             states["prediction", step] = position[shown], data["velocity"][shown]
         speeds = {key: np.linalg.norm(velocity, axis=1) for key, (_, velocity) in states.items()}
         top = speed_scale(list(speeds.values()))

@@ -6,17 +6,16 @@ from collections.abc import Sequence
 
 import matplotlib.image
 import numpy as np
-from lightning import Callback, LightningModule, Trainer
+from lightning import LightningModule, Trainer
 from lightning.pytorch.loggers import TensorBoardLogger
 
-from callbacks.folder import rollout_file, run_folder
+from callbacks.first_rollout import FirstRollout
+from callbacks.folder import rollout_file
 from fluidsnet.export.render import Panel, side_by_side
 from fluidsnet.export.vtkhdf import read_frame
-from fluidsnet.particles import RolloutStart
-from fluidsnet.rollout import RolloutObserver
 
 
-class RolloutPicture(Callback, RolloutObserver):
+class RolloutPicture(FirstRollout):
     """After ``predict``, draws the first rollout beside its truth as ``rollout.png``.
 
     Particles are colored by their speed, from blue to white (paper, figure 12). The picture
@@ -30,37 +29,24 @@ class RolloutPicture(Callback, RolloutObserver):
         if not all(0 <= time <= 1 for time in times):
             raise ValueError(f"times are shares from 0 to 1, not {times}")
         self.times = times
-        self._first: RolloutStart | None = None
-
-    def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        """Learns the run's folder."""
-        self._folder = run_folder(trainer)
-
-    def on_predict_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Forgets earlier rollouts."""
-        self._first = None
-
-    def on_rollout_start(self, start: RolloutStart) -> None:
-        """Keeps the first start."""
-        self._first = self._first or start
 
     def on_predict_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Draws the picture."""
-        # Of several processes, the one whose rollouts have the first among them.
-        if self._first is None or not trainer.is_global_zero:
+        start = self.first(trainer)
+        if start is None:
             return
-        start, scene = self._first, self._first.state.scene
+        scene = start.state.scene
         last = min(start.steps, len(start.truth) - 1)
         panels = []
         for step in (round(share * last) for share in self.times):
             when = f"{step * scene.time_step:.2f} s"
             true_position, true_velocity = (value.numpy() for value in start.truth[step])
-            position, data = read_frame(rollout_file(self._folder, start.name), step)
+            position, data = read_frame(rollout_file(self.folder, start.name), step)
             panels += [
                 Panel(f"truth, {when}", true_position, _speed(true_velocity)),
                 Panel(f"FluidsNet, {when}", position, _speed(data["velocity"])),
             ]
-        path = self._folder / "rollout.png"
+        path = self.folder / "rollout.png"
         side_by_side(
             path,
             panels,
