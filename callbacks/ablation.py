@@ -17,6 +17,7 @@ from callbacks.training_cost import training_costs
 from fluidsnet.errors import UserError
 from fluidsnet.features.local import LocalFeature
 from fluidsnet.integrator import Integrator
+from fluidsnet.metrics.rollout_suite import BESIDE
 from fluidsnet.module import FluidsNet
 from fluidsnet.neighbors import NeighborSearch
 from fluidsnet.network import ContextFactory
@@ -94,7 +95,7 @@ class Ablation(Callback, ChartSource):
             )
         if not _fits(block, variant):
             raise UserError(f"Ablation: {_words(variant)} cannot be the {block} of a FluidsNet.")
-        taken = {"model", *TRIVIAL, *dir(nn.ModuleDict)}
+        taken = {"model", *TRIVIAL, *BESIDE, *dir(nn.ModuleDict)}
         if not re.fullmatch("[a-z][a-z0-9_]*", name) or name in taken:
             raise UserError(
                 f"Ablation: the name {name!r} is taken or has other signs than lower-case "

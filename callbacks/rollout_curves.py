@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ _COLORS = {
     "ballistic": "#b2182b",
     "truth": "#111111",
 }
+#: Of models that train beside "model", in their order.
+_TWINS = ("#2a9d3a", "#8e44ad", "#d6409f", "#0e9aa7")
 # A metric's name, the axis's label, whose curves are drawn, whether the axis is logarithmic.
 _Panel = tuple[str, str, tuple[str, ...], bool]
 _PANELS: tuple[_Panel, ...] = (
@@ -71,7 +74,10 @@ def draw_curves(path: Path, figures: Figures, time_step: float, logger: Any) -> 
 
 def _draw(axes: Axes, panel: _Panel, figures: Figures, time_step: float) -> None:
     name, label, predictors, logarithmic = panel
-    for predictor in predictors:
+    twins = [predictor for predictor in figures if predictor not in _COLORS]
+    colors = {**_COLORS, **dict(zip(twins, cycle(_TWINS)))}
+    broken: list[str] = []
+    for predictor in (*predictors, *twins):
         values = figures[predictor][name].cpu().numpy()
         time = time_step * np.arange(1, len(values) + 1)
         # A floor of zero has no place on a logarithmic axis.
@@ -79,15 +85,17 @@ def _draw(axes: Axes, panel: _Panel, figures: Figures, time_step: float) -> None
         axes.plot(
             time,
             drawn,
-            color=_COLORS[predictor],
+            color=colors[predictor],
             label=predictor.replace("_", " "),
             marker="." if len(values) == 1 else None,
         )
-        if predictor == "model" and np.isinf(values).any():
-            axes.set_title(f"model not finite from {time[np.isinf(values).argmax()]:g} s on")
+        if predictor in ("model", *twins) and np.isinf(values).any():
+            broken.append(f"{predictor} not finite from {time[np.isinf(values).argmax()]:g} s on")
+    axes.set_title("\n".join(broken))
     axes.set(xlabel="time, s", ylabel=label, yscale="log" if logarithmic else "linear")
     if not logarithmic:
-        axes.set_ylim(0, _top([figures[who][name].cpu().numpy() for who in ("truth", "model")]))
+        shown = ("truth", "model", *twins)
+        axes.set_ylim(0, _top([figures[who][name].cpu().numpy() for who in shown]))
     axes.grid(alpha=0.3)
     axes.legend()
 

@@ -35,9 +35,13 @@ class RolloutMetrics(Callback, ChartSource):
     these are measured once, as they do not change. It comes before callbacks that swap weights
     for validation, or it measures the others.
 
-    In `test` the same under `test_rollout/` and `test_rollout_predictors/`; `rollout_metrics.md`
-    and `.csv` in the run's folder, a row a predictor and number of steps; and
-    `rollout_metrics.png`, the errors and energies against time, also in TensorBoard.
+    Models that an `Ablation` trains side by side are rolled out from the same starts, and the
+    figures of each are `ablation/rollout/<metric>/<steps>/<name>` as well.
+
+    In `test` the same under `test_rollout/`, `test_rollout_predictors/` and
+    `ablation/test_rollout/`; `rollout_metrics.md` and `.csv` in the run's folder, a row a
+    predictor and number of steps; and `rollout_metrics.png`, the errors and energies against
+    time, also in TensorBoard.
 
     A rollout goes as far as it is asked to or as its truth goes, whichever is less; after some
     steps fewer simulations may be left, and the table says how many. One that turns
@@ -113,11 +117,13 @@ class RolloutMetrics(Callback, ChartSource):
         self._folder = run_folder(trainer)
 
     def charts(self, module: FluidsNet) -> Charts:
-        """The position errors after some of the steps, the model's and the predictors'."""
+        """The position errors after some of the steps, the models' and the predictors'."""
         if not self.every_n_validations:
             return {}
         steps = [step for step in CHARTED if self.steps is None or step <= self.steps]
-        tag = "rollout(_predictors)?/position_error_mm/{}(/|$)"
+        alone = len(module.models()) == 1
+        group = "rollout(_predictors)?" if alone else "(rollout_predictors|ablation/rollout)"
+        tag = f"{group}/position_error_mm/{{}}(/|$)"
         return {
             "rollout": {
                 f"position error after {step} steps, mm": [tag.format(step)] for step in steps
@@ -138,10 +144,10 @@ class RolloutMetrics(Callback, ChartSource):
             return
         starts, figures = self._measure(trainer, pl_module, "val")
         scalars = self._scalars(figures, max(starts.steps))
-        mine = {f"rollout/{name}": value for name, value in scalars.pop("model").items()}
+        mine = {f"rollout/{name}": value for name, value in scalars["model"].items()}
         # All processes have the same; their mean spares a warning.
         pl_module.log_dict(mine, sync_dist=True, batch_size=1)
-        self._log(trainer, "rollout_predictors", scalars)
+        self._log_others(trainer, pl_module, "rollout", scalars)
 
     def on_test_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Rolls out, logs, and writes the table and the figure."""
@@ -150,8 +156,8 @@ class RolloutMetrics(Callback, ChartSource):
             return
         longest = max(starts.steps)
         scalars = self._scalars(figures, longest)
-        self._log(trainer, "test_rollout", {"": scalars.pop("model")})
-        self._log(trainer, "test_rollout_predictors", scalars)
+        self._log(trainer, "test_rollout", {"": scalars["model"]})
+        self._log_others(trainer, pl_module, "test_rollout", scalars)
         time_step: float = starts[0].state.scene.time_step
         path = self._folder / "rollout_metrics"
         text = write_rollout_metrics(path, figures, starts, _rows(longest), time_step)
@@ -172,8 +178,10 @@ class RolloutMetrics(Callback, ChartSource):
             longest = max(starts.steps)
             names = [starts.names.index(name) for name in starts.names]
             costly = {*self.costly_steps, longest}
-            self._suite = RolloutSuite(names, longest, costly, module.device)
-        self._suite.forget("model")
+            models = list(module.models())
+            self._suite = RolloutSuite(names, longest, costly, module.device, models)
+        for name in module.models():
+            self._suite.forget(name)
         mine = range(trainer.global_rank, len(starts), trainer.world_size)
         bar = tqdm(
             total=sum(starts.steps[index] for index in mine),
@@ -197,18 +205,21 @@ class RolloutMetrics(Callback, ChartSource):
         known: bool,
         bar: Any,
     ) -> None:
-        """One rollout; where the others' figures are known, of the model alone."""
+        """One rollout of each model; where the others' figures are known, of these alone."""
         start = starts[index].to(module.device)
-        states = rollout(
-            module.network, module.integrator, module.walls, start.state, starts.steps[index]
-        )
+        rollouts = {
+            name: rollout(
+                model.network, model.integrator, model.walls, start.state, starts.steps[index]
+            )
+            for name, model in module.models().items()
+        }
         baselines = Baselines(start.state, module.integrator)
         for step in range(1, starts.steps[index] + 1):
             with trainer.precision_plugin.forward_context():
-                state = next(states)
+                states = {name: next(rolled) for name, rolled in rollouts.items()}
             true = start.state.moved(*(value.to(module.device) for value in start.truth[step]))
             others = {} if known else {**baselines.after(step, true), "truth": true}
-            suite.update(index, step, {"model": state, **others}, true, start.state)
+            suite.update(index, step, {**states, **others}, true, start.state)
             bar.update()
 
     @staticmethod
@@ -224,6 +235,16 @@ class RolloutMetrics(Callback, ChartSource):
             }
             for predictor, of in figures.items()
         }
+
+    @classmethod
+    def _log_others(
+        cls, trainer: Trainer, module: Any, group: str, scalars: dict[str, dict[str, float]]
+    ) -> None:
+        """The predictors', and of models that train side by side each one's."""
+        models = {name: scalars.pop(name) for name in module.models()}
+        cls._log(trainer, f"{group}_predictors", scalars)
+        if len(models) > 1:
+            cls._log(trainer, f"ablation/{group}", models)
 
     @staticmethod
     def _log(trainer: Trainer, group: str, scalars: dict[str, dict[str, float]]) -> None:

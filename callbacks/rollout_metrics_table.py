@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from callbacks.table import Cell, write_table
-from fluidsnet.metrics.rollout_suite import Figures
+from fluidsnet.metrics.rollout_suite import BESIDE, Figures
 from fluidsnet.particles import RolloutStarts
 
 # A metric's name, its column, and what its number is multiplied by.
@@ -40,7 +40,7 @@ def write_rollout_metrics(
         time_step: s.
 
     Returns:
-        Markdown of the model's rows, and a line for each rollout that turned non-finite.
+        Markdown of the models' rows, and a line for each rollout that turned non-finite.
     """
     rows: list[list[Cell]] = []
     for predictor, of in figures.items():
@@ -55,16 +55,20 @@ def write_rollout_metrics(
             rows.append(row)
     header = ("predictor", "steps", "time s", "simulations", *(title for _, title, _ in _COLUMNS))
     lines = write_table(path, header, rows).splitlines()
-    broken = _broken(figures, starts)
+    models = [predictor for predictor in figures if predictor not in BESIDE]
+    broken = _broken(figures, starts, models)
     with path.with_suffix(".md").open("a") as file:
         file.writelines(f"\n{line}\n" for line in broken)
-    return "\n".join([*lines[: 2 + len(steps)], *broken])
+    return "\n".join([*lines[: 2 + len(steps) * len(models)], *broken])
 
 
-def _broken(figures: Figures, starts: RolloutStarts) -> list[str]:
-    first = figures["model"]["non_finite_step"].tolist()
+def _broken(figures: Figures, starts: RolloutStarts, models: Sequence[str]) -> list[str]:
     return [
-        f"The model's rollout of /{name} from frame {frame} is not finite from step {step:.0f} on."
-        for name, frame, step in zip(starts.names, starts.first, first, strict=True)
+        f"{'The model' if model == 'model' else model.replace('_', ' ')}'s rollout of /{name} from "
+        f"frame {frame} is not finite from step {step:.0f} on."
+        for model in models
+        for name, frame, step in zip(
+            starts.names, starts.first, figures[model]["non_finite_step"].tolist(), strict=True
+        )
         if step != float("inf")
     ]

@@ -135,7 +135,7 @@ def test_each_chart_has_curves(events: EventAccumulator) -> None:
             found = [tag for tag in scalars if re.match(pattern, tag)]
             assert found, title
             if title.startswith("rollout"):
-                assert len(found) == 4  # model, floor, constant velocity, ballistic
+                assert len(found) == 5  # both models, floor, constant velocity, ballistic
 
 
 def test_hyperparameters_are_plain_and_training_ended(events: EventAccumulator) -> None:

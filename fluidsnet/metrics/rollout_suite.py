@@ -1,4 +1,4 @@
-"""Every metric of a rollout, of the model and of all it is judged beside."""
+"""Every metric of a rollout, of models and of all they are judged beside."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from fluidsnet.metrics.rollout_velocity_mse import RolloutVelocityMSE
 from fluidsnet.metrics.sinkhorn import Sinkhorn
 from fluidsnet.particles import Particles
 
-#: Whose states are measured: the truth's only where it has a figure of its own.
-MEASURED = ("model", *Baselines.names, "truth")
+#: Beside whom models are measured: the truth only where it has a figure of its own.
+BESIDE = (*Baselines.names, "truth")
 
 #: By predictor, by the metric's name, (S,) means after 1, 2, … S steps.
 Figures = dict[str, dict[str, Tensor]]
@@ -40,6 +40,7 @@ class RolloutSuite:
         steps: S of the longest.
         costly_steps: after which the costly metrics are taken, from 1; the others always are.
         device: of the states.
+        models: names of those that are rolled out.
     """
 
     def __init__(
@@ -48,11 +49,12 @@ class RolloutSuite:
         steps: int,
         costly_steps: Collection[int],
         device: torch.device,
+        models: Sequence[str] = ("model",),
     ) -> None:
         self.costly_steps = frozenset(costly_steps)
         density = Density()
         self.metrics: dict[str, list[RolloutMetric]] = {}
-        for predictor in MEASURED:
+        for predictor in (*models, *BESIDE):
             metrics: list[RolloutMetric] = [
                 RolloutPositionError(simulations, steps),
                 MSEn(simulations, steps),

@@ -259,6 +259,7 @@ def test_several_twins_train_beside_one_model_and_are_measured(
         ("head", "32", "other", "32 cannot be the head"),
         ("target", AccelerationTarget(), "model", "'model' is taken"),
         ("target", AccelerationTarget(), "ballistic", "'ballistic' is taken"),
+        ("target", AccelerationTarget(), "truth", "'truth' is taken"),
         ("target", AccelerationTarget(), "keys", "'keys' is taken"),
         ("target", AccelerationTarget(), "a/b", "'a/b' is taken or has other signs"),
     ],

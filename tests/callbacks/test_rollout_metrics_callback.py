@@ -17,7 +17,7 @@ from lightning.pytorch.callbacks import ModelCheckpoint
 from lightning.pytorch.loggers import TensorBoardLogger
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from callbacks import RolloutMetrics
+from callbacks import Ablation, RolloutMetrics
 from datamodules import SPHDataModule
 from fluidsnet import FluidsNet
 from fluidsnet.errors import UserError
@@ -25,7 +25,7 @@ from fluidsnet.features import NoContext
 from fluidsnet.integrator import Integrator
 from fluidsnet.particles import Particles
 from fluidsnet.rollout import rollout
-from fluidsnet.target import Motion
+from fluidsnet.target import AccelerationTarget, Motion
 
 
 def data(sample: Path) -> SPHDataModule:
@@ -210,3 +210,39 @@ def test_none_is_measured_where_none_is_asked_for(sample: Path, tmp_path: Path) 
     runner = trainer(tmp_path, RolloutMetrics(every_n_validations=0), max_epochs=1)
     runner.fit(FluidsNet(source.cells, context=partial(NoContext)), source)
     assert not [name for name in runner.callback_metrics if name.startswith("rollout/")]
+
+
+def test_models_side_by_side_are_rolled_out_each(sample: Path, tmp_path: Path) -> None:
+    """Each is measured as it would be alone, and logged beside the others."""
+    source = data(sample)
+    callbacks = (
+        Ablation("target", AccelerationTarget(), "acceleration"),
+        RolloutMetrics(steps=5, simulations=1, every_n_validations=1),
+    )
+    model = FluidsNet(source.cells, context=NoContext)
+    runner = trainer(tmp_path, *callbacks, max_epochs=1)
+    runner.fit(model, source)
+    runner.test(model, source, verbose=False)
+    logged = [
+        EventAccumulator(str(path)).Reload() for path in (tmp_path / "run").glob("events.out*")
+    ]
+    found = {tag: of for of in logged for tag in of.Tags()["scalars"]}
+
+    def last(tag: str) -> float:
+        return float(found[tag].Scalars(tag)[-1].value)
+
+    for group in ("rollout", "test_rollout"):
+        for figure in ("position_error_mm/5", "chamfer_mm/5", "kinetic_energy/2"):
+            mine = last(f"{group}/{figure}")
+            assert last(f"ablation/{group}/{figure}/model") == pytest.approx(mine)
+            twin = last(f"ablation/{group}/{figure}/acceleration")
+            assert np.isfinite(twin)
+            assert twin != mine
+    with (tmp_path / "run" / "rollout_metrics.csv").open() as file:
+        table = {(row["predictor"], row["steps"]): row for row in csv.DictReader(file)}
+    start = source.rollout_starts("test", [0], 5, 1)[0]
+    for name, of in model.models().items():
+        *_, state = rollout(of.network, of.integrator, of.walls, start.state, 5)
+        error = 1000 * (state.position - start.truth[5][0]).norm(dim=1).mean()
+        row = table[name, "5"]
+        assert float(row["position_error mm"]) == pytest.approx(float(error), rel=1e-4)
