@@ -68,6 +68,17 @@ def rows(path: Path) -> list[list[str]]:
         return list(csv.reader(file))
 
 
+ROLLS_OUT = """
+trainer:
+  callbacks:
+    - class_path: lightning.pytorch.callbacks.ModelCheckpoint
+      init_args: {filename: last, enable_version_counter: false}
+    - class_path: callbacks.OneStepTable
+    - class_path: callbacks.RolloutMetrics
+      init_args: {steps: 3, every_n_validations: 1}
+"""
+
+
 def report(*runs: Path, output: Path) -> Page:
     main(["report", *map(str, runs), f"--output={output}"])
     return Page((output / "report.html").read_text())
@@ -75,14 +86,19 @@ def report(*runs: Path, output: Path) -> Page:
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the run `one`, tested and rolled out, and `two`, which has a twin."""
+    """A folder with the run `one`, tested and rolled out, and `two`, which has a twin.
+
+    Only `two` rolls out while it trains.
+    """
     folder = tmp_path_factory.mktemp("runs")
     base = [
         CONFIGS / "trainer.yaml",
         CONFIGS / "model" / "paper.yaml",
         CONFIGS / "data" / "sample.yaml",
     ]
-    for name, more in (("one", []), ("two", [CONFIGS / "ablation" / "target.yaml"])):
+    rolls_out = folder / "rolls_out.yaml"
+    rolls_out.write_text(ROLLS_OUT)
+    for name, more in (("one", []), ("two", [rolls_out, CONFIGS / "ablation" / "target.yaml"])):
         configs = [f"--config={config}" for config in (*base, *more)]
         main(
             [
@@ -249,6 +265,13 @@ def test_several_runs_stand_side_by_side(runs: Path, tmp_path: Path) -> None:
     for column, who in enumerate(ablation["two"]):
         assert float(ablation["skill, last"][column]) == curves[f"ablation/skill/{who}"][-1][1]
         assert float(ablation["cost/step_seconds"][column]) > 0
+    # One of the many figures of the rollouts, after the most steps.
+    rolled = [figure for figure in ablation if "rollout" in figure]
+    assert rolled == ["rollout/position_error_mm/3, last"]
+    for column, who in enumerate(ablation["two"]):
+        last = curves[f"ablation/rollout/position_error_mm/3/{who}"][-1][1]
+        assert float(ablation[rolled[0]][column]) == last
+    assert "rollout/position_error_mm/3, two and its twins" in page.text
     assert "two has the same data as one." in page.words
 
 

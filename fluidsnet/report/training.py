@@ -14,6 +14,8 @@ from fluidsnet.report.run import Run
 
 _ABLATION = "ablation/"
 _COST = "ablation/cost/"
+#: The rollouts' figure that is drawn; after it comes the number of steps.
+_ROLLED = "rollout/position_error_mm/"
 
 
 def training_section(runs: Sequence[Run]) -> Section:
@@ -50,7 +52,13 @@ def ablation_section(runs: Sequence[Run]) -> Section:
     """Each model beside the twins that differ from it in one block."""
     section = Section("Ablations")
     for run in runs:
-        found = tags([run.history], _ABLATION)
+        # Of the rollouts one figure; `rollout_metrics` has them all.
+        rolled = _rolled([run], f"{_ABLATION}{_ROLLED}", "/model")
+        found = [
+            tag
+            for tag in tags([run.history], _ABLATION)
+            if "rollout/" not in tag or tag.startswith(tuple(f"{each}/" for each in rolled))
+        ]
         if found:
             section.parts += _ablation(run, found)
         grid = run.tables.get("foreign_context")
@@ -69,14 +77,17 @@ def _rates(runs: Sequence[Run]) -> tuple[str, ...]:
     return tuple(tag for tag in own if tag in (RATE, f"{RATE}/model"))
 
 
-def _rolled(runs: Sequence[Run]) -> tuple[str, ...]:
+def _rolled(runs: Sequence[Run], beginning: str = _ROLLED, ending: str = "") -> tuple[str, ...]:
     """The model's error after the most steps that all runs which roll out have."""
-    beginning = "rollout/position_error_mm/"
     steps = [
-        {int(tag.removeprefix(beginning)) for tag in tags([run.history], beginning)
-         if tag.removeprefix(beginning).isdigit()}
+        {
+            int(number)
+            for tag in tags([run.history], beginning)
+            for number in [tag.removeprefix(beginning).removesuffix(ending)]
+            if number.isdigit()
+        }
         for run in runs
-    ]  # fmt: skip
+    ]
     common = set.intersection(*(each for each in steps if each)) if any(steps) else set()
     return (f"{beginning}{max(common)}",) if common else ()
 
