@@ -1,6 +1,7 @@
 """Lightning callbacks, one behavior a file."""
 
 from callbacks.ablation import Ablation as Ablation
+from callbacks.ablation_picture import AblationPicture as AblationPicture
 from callbacks.compiled_network import CompiledNetwork as CompiledNetwork
 from callbacks.foreign_context import ForeignContext as ForeignContext
 from callbacks.hyperparameters import HyperParameters as HyperParameters

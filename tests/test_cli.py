@@ -116,7 +116,9 @@ def test_every_ablation_is_compared_while_training_and_in_the_test(
     with (folder / "one_step.csv").open() as file:
         rows = [row[0] for row in csv.reader(file)]
     assert rows[1:] == ["model", name.replace("_", " "), "constant velocity", "ballistic"]
-    assert (folder / "foreign_context.md").exists() == (len(callbacks) == 2)
+    named = [callback["class_path"] for callback in callbacks]
+    assert (folder / "foreign_context.md").exists() == ("callbacks.ForeignContext" in named)
+    assert (folder / "ablation.png").exists()
 
 
 def test_the_documented_ablations_of_other_blocks_run(

@@ -158,6 +158,14 @@ def test_pictures_and_curves_are_within_it_and_have_words(runs: Path, tmp_path: 
     assert len(page.all("caption")) == len(page.all("table"))
 
 
+def test_the_picture_of_an_ablation_is_shown(runs: Path, tmp_path: Path) -> None:
+    page = report(runs / "two", output=tmp_path)
+    pictures = {image["alt"]: image["src"] or "" for image in page.all("img")}
+    words = "two: The truth and every model against time; the lighter a particle, the faster"
+    shown = b64decode(pictures[words].partition(",")[2])
+    assert shown == (runs / "two" / "ablation.png").read_bytes()
+
+
 @pytest.mark.parametrize("table", ["one_step", "rollout", "rollout_metrics"])
 def test_tables_are_the_runs_own(table: str, runs: Path, tmp_path: Path) -> None:
     page = report(runs / "one", output=tmp_path)

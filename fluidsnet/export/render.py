@@ -1,4 +1,4 @@
-"""Pictures of particles: the truth beside the prediction, at several times.
+"""Pictures of particles: the truth and predictions of it, at several times.
 
 Each particle is drawn as a lit sphere into a depth buffer, seen in perspective from slightly
 above; y is up. Color is speed, blue at rest and whiter the faster, as in Fig. 12 of the paper.
@@ -15,19 +15,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fluidsnet.export.camera import Camera
 from fluidsnet.export.speed_colors import speed_colormap, speed_colors, speed_scale
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Floats = NDArray[np.float64]
-
 _BACKGROUND, _FLOOR, _LINES, _TEXT = "#0c1016", "#171d27", "#6d7a8c", "#e4e9f0"
 
 _DPI = 100
 _PANEL = (640, 460)  # the most a panel takes, pixels
-_NARROWEST = 400  # pixels, for the title
-_GAP, _TITLE, _BAR = 24, 38, 110  # pixels
+# Of more than two columns: the widest picture, and the pixels of all panels, which the file's
+# size goes with.
+_WIDEST, _MOST_PIXELS = 2400, 3_200_000
+_GAP, _TITLE, _BAR, _APART = 24, 38, 110, 12  # pixels
 _FINE = 2  # the spheres are drawn this much larger, then averaged down: smooth outlines
 
 _TOWARDS_LIGHT = np.array([-0.35, 0.75, 0.56])  # right, up, towards the eye
@@ -55,25 +56,35 @@ def side_by_side(
     domain_upper: ArrayLike,
     particle_radius: float,
     speed_max: float | None = None,
+    columns: int = 2,
 ) -> None:
-    """Draws panels in two columns to a PNG file, all with one scale of color.
+    """Draws panels in columns to a PNG file, all with one scale of color.
+
+    More than two columns have smaller panels: the picture gets no wider than 2,400 pixels.
 
     A particle that is not finite, or too far away to be in the picture, is counted in the
     title of its panel: a prediction that blew up shows.
 
     Args:
         path: of the picture.
-        panels: row after row, the truth then the prediction.
+        panels: row after row, such as the truth then the prediction.
         domain_lower: (3,), the box's lower corner, m.
         domain_upper: (3,), its upper corner, m.
         particle_radius: m.
         speed_max: where the scale ends, m/s; by default the fastest of all panels but for one
             particle in 200.
+        columns: how many panels are in a row.
+
+    Raises:
+        ValueError: the panels do not fill their rows, a panel's shapes do not fit each other, or
+            a number is not above zero.
     """
     if speed_max is not None and not speed_max > 0:
         raise ValueError(f"speed_max must be above zero, not {speed_max}")
-    if not panels or len(panels) % 2:
-        raise ValueError(f"panels go two in a row, truth and prediction; there are {len(panels)}")
+    if columns < 1:
+        raise ValueError(f"columns must be above zero, not {columns}")
+    if not panels or len(panels) % columns:
+        raise ValueError(f"panels go {columns} in a row; there are {len(panels)}")
     for panel in panels:
         if panel.position.shape != (len(panel.speed), 3) or panel.speed.ndim != 1:
             shapes = f"{panel.position.shape} and {panel.speed.shape}"
@@ -84,13 +95,15 @@ def side_by_side(
     from matplotlib.figure import Figure
     from PIL import Image
 
-    camera = _Camera(np.asarray(domain_lower, float), np.asarray(domain_upper, float))
+    rows = len(panels) // columns
+    lower, upper = np.asarray(domain_lower, float), np.asarray(domain_upper, float)
+    camera = Camera(lower, upper, _panel_size(rows, columns))
     top = speed_scale([panel.speed for panel in panels]) if speed_max is None else speed_max
-    width = 2 * (camera.width + _GAP) + _BAR
-    height = len(panels) // 2 * (camera.height + _TITLE) + _GAP
+    width = columns * (camera.width + _GAP) + _BAR
+    height = rows * (camera.height + _TITLE) + _GAP
     figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor=_BACKGROUND)
     for index, panel in enumerate(panels):
-        row, column = divmod(index, 2)
+        row, column = divmod(index, columns)
         left = _GAP + column * (camera.width + _GAP)
         bottom = height - (row + 1) * (camera.height + _TITLE)
         box = (left / width, bottom / height, camera.width / width, camera.height / height)
@@ -110,54 +123,17 @@ def side_by_side(
     picture.save(path, format="PNG", optimize=True)
 
 
-class _Camera:
-    """Looks at the middle of the box; the box fills the picture.
-
-    Attributes:
-        width, height: of the picture, pixels.
-    """
-
-    def __init__(self, lower: Floats, upper: Floats) -> None:
-        self.lower, self.upper = lower, upper
-        turn, rise = np.radians(28.0), np.radians(20.0)
-        backward = np.array(
-            [np.sin(turn) * np.cos(rise), np.sin(rise), np.cos(turn) * np.cos(rise)]
-        )
-        right = np.cross([0.0, 1.0, 0.0], backward)
-        right /= np.linalg.norm(right)
-        self._axes = np.stack([right, np.cross(backward, right), backward])
-        self.distance = 2.6 * float(np.linalg.norm(upper - lower))
-        self.eye = (lower + upper) / 2 + self.distance * backward
-        self._pixels, self._origin = 1.0, np.zeros(2)
-        corners = self.project(self.corners())[:, :2]
-        first, last = corners.min(axis=0), corners.max(axis=0)
-        margin = 0.02 * float((last - first).max())
-        size = last - first + 2 * margin
-        self._pixels = float(np.min(np.array(_PANEL) / size))
-        self._origin = np.array([first[0] - margin, first[1] - margin]) * self._pixels
-        self.width, self.height = (int(np.ceil(extent)) for extent in size * self._pixels)
-        if self.width < _NARROWEST:
-            self._origin[0] -= (_NARROWEST - self.width) / 2
-            self.width = _NARROWEST
-
-    def corners(self) -> Floats:
-        """The box's corners (8, 3), m; bit a of a row's number says upper on axis a."""
-        upper = (np.arange(8)[:, None] >> np.arange(3)) & 1
-        return np.where(upper, self.upper, self.lower)
-
-    def project(self, points: Floats) -> Floats:
-        """Turns points (N, 3), m, into (N, 3): pixels right and down, depth in m."""
-        right, up, backward = (self._axes @ (points - self.eye).T).astype(np.float64)
-        depth = -backward
-        across = np.stack([right, -up]) / depth * self.distance * self._pixels
-        return np.column_stack([across.T - self._origin, depth])
-
-    def pixels_per_meter(self, depth: Floats) -> Floats:
-        """How large a meter is at a depth (N,), m."""
-        return self.distance * self._pixels / depth
+def _panel_size(rows: int, columns: int) -> tuple[int, int]:
+    """Width and height that a panel takes at most, pixels."""
+    width, height = _PANEL
+    if columns <= 2:
+        return _PANEL
+    within = (_WIDEST - _BAR) / columns - _GAP - 1  # sizes are rounded up
+    share = min(1.0, within / width, (_MOST_PIXELS / (rows * columns * width * height)) ** 0.5)
+    return int(share * width), int(share * height)
 
 
-def _draw(axes: Axes, camera: _Camera, panel: Panel, radius: float, top: float) -> None:
+def _draw(axes: Axes, camera: Camera, panel: Panel, radius: float, top: float) -> None:
     """Draws one panel: floor, far edges, particles, near edges, title."""
     corners = camera.project(camera.corners())
     floor = corners[[0, 1, 5, 4]]
@@ -177,14 +153,18 @@ def _draw(axes: Axes, camera: _Camera, panel: Panel, radius: float, top: float) 
     axes.set_xlim(0, camera.width)
     axes.set_ylim(camera.height, 0)
     axes.set_axis_off()
-    axes.set_title(panel.title, color=_TEXT, fontsize=12, loc="left", pad=6)
+    titles = [(axes.set_title(panel.title, color=_TEXT, fontsize=12, loc="left", pad=6), 12)]
     if drawn < len(panel.position):
         lost = f"{len(panel.position) - drawn} of {len(panel.position)} particles out of sight"
-        axes.set_title(lost, color=_TEXT, fontsize=10, loc="right", pad=6)
+        titles.append((axes.set_title(lost, color=_TEXT, fontsize=10, loc="right", pad=6), 10))
+    needed = sum(title.get_window_extent().width + _APART for title, _ in titles) - _APART
+    if needed > camera.width:
+        for title, size in titles:
+            title.set_fontsize(size * camera.width / needed)
 
 
 def _spheres(
-    camera: _Camera, panel: Panel, radius: float, top: float
+    camera: Camera, panel: Panel, radius: float, top: float
 ) -> tuple[NDArray[np.float32], int]:
     """Draws the particles.
 

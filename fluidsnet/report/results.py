@@ -12,6 +12,7 @@ from fluidsnet.report.training import best_of
 from fluidsnet.trivial import TRIVIAL
 
 _PICTURES = {
+    "ablation.png": "The truth and every model against time; the lighter a particle, the faster",
     "rollout.png": "Truth and prediction side by side; the lighter a particle, the faster",
     "rollout_metrics.png": "Errors and energies of the test's rollouts against time",
 }

@@ -134,14 +134,67 @@ def test_boxes_of_every_shape(tmp_path: Path, upper: tuple[float, float, float])
     assert 900 <= width < 1500 and 100 < height < 600
 
 
+@pytest.mark.parametrize(
+    ("rows", "columns", "widest"), [(2, 1, 790), (1, 3, 2100), (3, 4, 2400), (6, 5, 2400)]
+)
+def test_any_number_of_columns(tmp_path: Path, rows: int, columns: int, widest: int) -> None:
+    """Each panel has its place: row after row, the speeds rise from left to right."""
+    path = tmp_path / "picture.png"
+    rng = np.random.default_rng(0)
+    panels = [
+        Panel(f"{i}", rng.uniform(0, 1, (5000, 3)) * UPPER, i % columns + rng.uniform(0, 0.9, 5000))
+        for i in range(rows * columns)
+    ]
+    side_by_side(path, panels, LOWER, UPPER, RADIUS, columns=columns)
+    assert path.stat().st_size < 2e6
+    picture = matplotlib.image.imread(path)[..., :3]
+    assert 700 < picture.shape[1] <= widest
+    down, across = (picture.shape[0] - 24) // rows, (picture.shape[1] - 110) // columns
+    for row in range(rows):
+        line = picture[row * down + 38 : (row + 1) * down]
+        places = [line[:, column * across :][:, :across] for column in range(columns)]
+        reds = [fluid(place)[:, 0].mean() for place in places]
+        assert reds == sorted(reds) and len(set(reds)) == columns
+
+
+def test_titles_that_are_too_long_are_set_smaller(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from matplotlib.figure import Figure
+    from matplotlib.text import Text
+
+    titles: list[tuple[float, float, float]] = []
+    original = Figure.savefig
+
+    def record(self: Figure, *args: Any, **kwargs: Any) -> None:
+        for axes in self.axes[:-1]:
+            for title in axes.findobj(Text):
+                if title.get_text():
+                    extent = title.get_window_extent()
+                    titles.append((title.get_fontsize(), extent.x0, extent.x1))
+        original(self, *args, **kwargs)
+
+    monkeypatch.setattr(Figure, "savefig", record)
+    lost = np.full((1000, 3), np.nan)
+    panels = [panel(1.0, title="short"), panel(1.0, lost, "a rather long name, 0.80 s, not finite")]
+    side_by_side(tmp_path / "picture.png", panels * 3, LOWER, UPPER, RADIUS, columns=6)
+    short, long, count = sorted(titles, key=lambda title: title[1])[:3]
+    assert short[0] == 12 and long[0] < 12 and count[0] < 10
+    assert short[2] < long[1] and long[2] + 4 < count[1]
+
+
 def test_wrong_arguments(tmp_path: Path) -> None:
     path = tmp_path / "picture.png"
     for panels in ([], [panel(1.0)]):
-        with pytest.raises(ValueError, match="two in a row"):
+        with pytest.raises(ValueError, match="2 in a row"):
             side_by_side(path, panels, LOWER, UPPER, RADIUS)
     with pytest.raises(ValueError, match="panel 'odd'"):
         odd = Panel("odd", block(), np.zeros(3))
         side_by_side(path, [odd, odd], LOWER, UPPER, RADIUS)
     with pytest.raises(ValueError, match="speed_max"):
         side_by_side(path, [panel(1.0)] * 2, LOWER, UPPER, RADIUS, speed_max=0.0)
+    with pytest.raises(ValueError, match="4 in a row; there are 6"):
+        side_by_side(path, [panel(1.0)] * 6, LOWER, UPPER, RADIUS, columns=4)
+    with pytest.raises(ValueError, match="columns must be above zero"):
+        side_by_side(path, [panel(1.0)] * 2, LOWER, UPPER, RADIUS, columns=0)
     assert not path.exists()

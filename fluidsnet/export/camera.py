@@ -1,0 +1,65 @@
+"""The perspective that particles are drawn in: seen from slightly above, y up."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+_NARROWEST = 400  # pixels, for the title
+
+
+class Camera:
+    """Looks at the middle of the box; the box fills the picture.
+
+    Attributes:
+        width, height: of the picture, pixels.
+        distance: from the eye to the middle of the box, m.
+        eye: (3,), m.
+
+    Args:
+        lower: (3,), the box's lower corner, m.
+        upper: (3,), its upper corner, m.
+        most: width and height of the picture at most, pixels.
+    """
+
+    def __init__(self, lower: Floats, upper: Floats, most: tuple[int, int]) -> None:
+        self.lower, self.upper = lower, upper
+        turn, rise = np.radians(28.0), np.radians(20.0)
+        backward = np.array(
+            [np.sin(turn) * np.cos(rise), np.sin(rise), np.cos(turn) * np.cos(rise)]
+        )
+        right = np.cross([0.0, 1.0, 0.0], backward)
+        right /= np.linalg.norm(right)
+        self._axes = np.stack([right, np.cross(backward, right), backward])
+        self.distance = 2.6 * float(np.linalg.norm(upper - lower))
+        self.eye = (lower + upper) / 2 + self.distance * backward
+        self._pixels, self._origin = 1.0, np.zeros(2)
+        corners = self.project(self.corners())[:, :2]
+        first, last = corners.min(axis=0), corners.max(axis=0)
+        margin = 0.02 * float((last - first).max())
+        size = last - first + 2 * margin
+        self._pixels = float(np.min(np.array(most) / size))
+        self._origin = np.array([first[0] - margin, first[1] - margin]) * self._pixels
+        self.width, self.height = (int(np.ceil(extent)) for extent in size * self._pixels)
+        narrowest = min(_NARROWEST, most[0])
+        if self.width < narrowest:
+            self._origin[0] -= (narrowest - self.width) / 2
+            self.width = narrowest
+
+    def corners(self) -> Floats:
+        """The box's corners (8, 3), m; bit a of a row's number says upper on axis a."""
+        upper = (np.arange(8)[:, None] >> np.arange(3)) & 1
+        return np.where(upper, self.upper, self.lower)
+
+    def project(self, points: Floats) -> Floats:
+        """Turns points (N, 3), m, into (N, 3): pixels right and down, depth in m."""
+        right, up, backward = (self._axes @ (points - self.eye).T).astype(np.float64)
+        depth = -backward
+        across = np.stack([right, -up]) / depth * self.distance * self._pixels
+        return np.column_stack([across.T - self._origin, depth])
+
+    def pixels_per_meter(self, depth: Floats) -> Floats:
+        """How large a meter is at a depth (N,), m."""
+        return self.distance * self._pixels / depth
