@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from fluidsnet.metrics.rollout_suite import Figures
 
-_COLORS = {
+#: Of predictors.
+COLORS = {
     "model": "#1f63ea",
     "integrator_floor": "#888888",
     "constant_velocity": "#e08214",
@@ -23,7 +24,7 @@ _COLORS = {
     "truth": "#111111",
 }
 #: Of models that train beside "model", in their order.
-_TWINS = ("#2a9d3a", "#8e44ad", "#d6409f", "#0e9aa7")
+TWIN_COLORS = ("#2a9d3a", "#8e44ad", "#d6409f", "#0e9aa7")
 # A metric's name, the axis's label, whose curves are drawn, whether the axis is logarithmic.
 _Panel = tuple[str, str, tuple[str, ...], bool]
 _PANELS: tuple[_Panel, ...] = (
@@ -74,8 +75,8 @@ def draw_curves(path: Path, figures: Figures, time_step: float, logger: Any) -> 
 
 def _draw(axes: Axes, panel: _Panel, figures: Figures, time_step: float) -> None:
     name, label, predictors, logarithmic = panel
-    twins = [predictor for predictor in figures if predictor not in _COLORS]
-    colors = {**_COLORS, **dict(zip(twins, cycle(_TWINS)))}
+    twins = [predictor for predictor in figures if predictor not in COLORS]
+    colors = {**COLORS, **dict(zip(twins, cycle(TWIN_COLORS)))}
     broken: list[str] = []
     for predictor in (*predictors, *twins):
         values = figures[predictor][name].cpu().numpy()

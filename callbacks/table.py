@@ -20,14 +20,25 @@ def write_table(path: Path, header: Sequence[str], rows: Sequence[Sequence[Cell]
     Returns:
         the Markdown.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.with_suffix(".csv").open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(header)
-        writer.writerows(rows)
+    write_csv(path.with_suffix(".csv"), header, rows)
     text = markdown(header, rows)
     path.with_suffix(".md").write_text(text)
     return text
+
+
+def write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> None:
+    """Writes the rows with all their digits.
+
+    Args:
+        path: of the file; its folder is made.
+        header: a name a column, with its unit.
+        rows: as many cells each.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        writer.writerows(rows)
 
 
 def markdown(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:

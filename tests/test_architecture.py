@@ -41,10 +41,10 @@ RANKS = {
     "fluidsnet": 8,
     "callbacks": 9,
     "datamodules": 9,
-    "fluidsnet.studies": 10,
     "fluidsnet.cli": 10,
     "fluidsnet.report": 11,
-    "fluidsnet.main": 12,
+    "fluidsnet.studies": 12,
+    "fluidsnet.main": 13,
 }
 
 #: All that the data modules may know of the rest.

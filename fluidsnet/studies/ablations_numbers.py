@@ -1,0 +1,125 @@
+"""What one training of the ablations came to, looked up by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from callbacks.table import Cell
+from fluidsnet.report.events import TRAINED, Curve
+from fluidsnet.report.grid import Grid
+from fluidsnet.report.run import Run, read_runs
+from fluidsnet.studies.trained_run import TrainedRun
+
+#: The paper's network, and the twins that an `Ablation` trains beside it.
+MODEL, ACCELERATION, WITHOUT = "model", "acceleration", "no_global_feature"
+#: Names for a reader.
+LABELS = {
+    MODEL: "model (velocity, global feature)",
+    ACCELERATION: "acceleration target",
+    WITHOUT: "without global feature",
+}
+#: Tables of a run that the study is read from.
+_READ = ("one_step", "rollout_metrics", "foreign_context")
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """A run's numbers; what is not there is None.
+
+    Attributes:
+        trained: which run it is.
+        run: its files, read.
+    """
+
+    trained: TrainedRun
+    run: Run
+
+    def one_step(self, who: str, column: str) -> float | None:
+        """A number of `one_step.csv`."""
+        return self._find("one_step", {"one step ahead": who.replace("_", " ")}, column)
+
+    def rollout(self, who: str, steps: int, column: str) -> float | None:
+        """A number of `rollout_metrics.csv`."""
+        row: dict[str, Cell] = {"predictor": who.replace("_", " "), "steps": steps}
+        return self._find("rollout_metrics", row, column)
+
+    def times(self) -> dict[int, float]:
+        """Time in s by number of steps, of the rows of `rollout_metrics.csv`."""
+        grid = self.run.tables.get("rollout_metrics")
+        if grid is None or not {"steps", "time s"} <= set(grid.header):
+            return {}
+        rows = zip(grid.column("steps"), grid.column("time s"), strict=True)
+        return {int(steps): float(time) for steps, time in rows}
+
+    @property
+    def time_step(self) -> float | None:
+        """Of the network, s."""
+        return next((time / steps for steps, time in self.times().items()), None)
+
+    @property
+    def foreign_ratio(self) -> float | None:
+        """`velocity_mse` with another frame's global feature over that with its own."""
+        row: dict[str, Cell] = {"global feature of": "another frame"}
+        return self._find("foreign_context", row, "velocity_mse / own")
+
+    @property
+    def training_steps(self) -> int:
+        """How many were trained, as far as the logged losses and validations tell."""
+        tags = (TRAINED, f"ablation/velocity_mse/{MODEL}")
+        curves = [self.run.history.curves.get(tag, ()) for tag in tags]
+        return max((curve[-1][0] + 1 for curve in curves if curve), default=0)
+
+    def curve(self, figure: str, who: str) -> Curve:
+        """What validations logged of a model: (training step, value)."""
+        return self.run.history.curves.get(f"ablation/{figure}/{who}", ())
+
+    def step_seconds(self, who: str) -> float | None:
+        """Time of a training step."""
+        curve = self.curve("cost/step_seconds", who)
+        return curve[-1][1] if curve else None
+
+    def missing(self) -> list[str]:
+        """Sentences, one for each file that is not there or cannot be read."""
+        place = f"{self.trained.scene}, stride {self.trained.stride}, seed {self.trained.seed}"
+        absent = [f"there is no {name}.csv." for name in _READ if name not in self.run.tables]
+        if not self.curve("velocity_mse", MODEL):
+            absent.append("no validation was logged.")
+        return [f"{place}: {sentence}" for sentence in (*self.run.unread, *absent)]
+
+    def _find(self, table: str, row: dict[str, Cell], column: str) -> float | None:
+        grid = self.run.tables.get(table)
+        if grid is None or not {*row, column} <= set(grid.header):
+            return None
+        found = (cells[column] for cells in _rows(grid) if row.items() <= cells.items())
+        cell = next(found, "")
+        # An empty cell is what was not measured.
+        return None if isinstance(cell, str) else float(cell)
+
+
+#: Finds a number of a run, if it is there.
+Lookup = Callable[[Numbers], float | None]
+
+
+def one_step(who: str, column: str) -> Lookup:
+    """Finds a number of `one_step.csv`."""
+    return lambda run: run.one_step(who, column)
+
+
+def rollout(who: str, steps: int, column: str) -> Lookup:
+    """Finds a number of `rollout_metrics.csv`."""
+    return lambda run: run.rollout(who, steps, column)
+
+
+def read_numbers(runs: Sequence[TrainedRun]) -> list[Numbers]:
+    """Reads what runs left.
+
+    Raises:
+        UserError: a folder is not one of a run, or is named twice.
+    """
+    read = read_runs([run.folder for run in runs]) if runs else []
+    return [Numbers(trained, run) for trained, run in zip(runs, read, strict=True)]
+
+
+def _rows(grid: Grid) -> list[dict[str, Cell]]:
+    return [dict(zip(grid.header, row, strict=True)) for row in grid.rows]

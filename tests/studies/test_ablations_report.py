@@ -1,0 +1,483 @@
+"""The page of the ablation study, beside numbers taken from its runs' own files by hand."""
+
+from __future__ import annotations
+
+import csv
+import math
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from statistics import fmean, stdev
+
+import lightning
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.stats import ttest_1samp
+
+from fluidsnet.errors import UserError
+from fluidsnet.main import main
+from fluidsnet.studies.ablations_claims import energy_verdict
+from fluidsnet.studies.ablations_figures import energy_figure, target_figure, trivial_mse
+from fluidsnet.studies.ablations_flatness import Flatness, worst
+from fluidsnet.studies.ablations_group import grouped
+from fluidsnet.studies.ablations_numbers import read_numbers
+from fluidsnet.studies.ablations_ratio import Ratio, digits
+from fluidsnet.studies.ablations_report import write_report
+from fluidsnet.studies.ablations_tables import spread
+from fluidsnet.studies.trained_run import TrainedRun
+
+ROOT = Path(__file__).parents[2]
+MSE = "velocity_mse m²/s²"
+INF, NAN = math.inf, math.nan
+
+# It logs to the stderr that there is when it is loaded, which must not be one test's own.
+assert lightning
+
+Table = list[dict[str, str]]
+Copy = Callable[..., list[TrainedRun]]
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[TrainedRun]:
+    """Real trainings with both twins: two seeds at one stride, one at another."""
+    there = tmp_path_factory.mktemp("ablations")
+    names = ("ablation/target", "ablation/global_feature", "data/sample")
+    found = []
+    for stride, seed in ((1, 0), (1, 1), (2, 0)):
+        name = f"dam/stride_{stride}/seed_{seed}"
+        main(
+            [
+                "fit",
+                *(f"--config={ROOT / 'configs' / config}.yaml" for config in names),
+                f"--data.init_args.root={ROOT / 'tests' / 'data' / 'dam_break'}",
+                "--data.init_args.batch_size=2",
+                f"--data.init_args.stride={stride}",
+                f"--seed_everything={seed}",
+                "--trainer.max_steps=8",
+                "--trainer.limit_val_batches=1",
+                "--trainer.limit_test_batches=4",
+                "--trainer.val_check_interval=1",
+                "--trainer.log_every_n_steps=1",
+                "--trainer.enable_progress_bar=false",
+                f"--trainer.logger.init_args.save_dir={there}",
+                f"--trainer.logger.init_args.name={name}",
+                "--trainer.logger.init_args.version=",
+            ]
+        )
+        main(["test", f"--run={there / name}"])
+        found.append(TrainedRun("dam", stride, seed, there / name))
+    return found
+
+
+@pytest.fixture
+def copy(runs: Sequence[TrainedRun], tmp_path: Path) -> Copy:
+    """Copies of the first run as seeds of their own, to be changed."""
+
+    def make(count: int) -> list[TrainedRun]:
+        made = []
+        for seed in range(count):
+            folder = tmp_path / "copies" / f"seed_{seed}"
+            shutil.copytree(runs[0].folder, folder)
+            made.append(TrainedRun("dam", 1, seed, folder))
+        return made
+
+    return make
+
+
+def table(path: Path) -> Table:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def number(path: Path, column: str, **where: str) -> float:
+    (row,) = (row for row in table(path) if where.items() <= row.items())
+    return float(row[column])
+
+
+def one_step(run: TrainedRun, who: str, column: str) -> float:
+    return number(run.folder / "one_step.csv", column, **{"one step ahead": who})
+
+
+def rolled(run: TrainedRun, who: str, steps: int, column: str) -> float:
+    where = {"predictor": who, "steps": str(steps)}
+    return number(run.folder / "rollout_metrics.csv", column, **where)
+
+
+def change(path: Path, column: str, value: float, **where: str) -> None:
+    """Writes another number into a run's table."""
+    rows = table(path)
+    chosen = [row for row in rows if where.items() <= row.items()]
+    assert chosen
+    for row in chosen:
+        row[column] = repr(value)
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def change_one_step(run: TrainedRun, who: str, column: str, value: float) -> None:
+    change(run.folder / "one_step.csv", column, value, **{"one step ahead": who})
+
+
+def row(text: str, *begin: str) -> list[str]:
+    """The cells of the page's first row that begins so."""
+    found = ([cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines())
+    return next(cells for cells in found if cells[: len(begin)] == list(begin))
+
+
+def test_one_step_is_mean_and_deviation_over_seeds(runs: list[TrainedRun], tmp_path: Path) -> None:
+    text = write_report(tmp_path, runs, 3)
+    assert text == (tmp_path / "ablations.md").read_text()
+    assert "runs are finished" not in text
+    first, second = (
+        text.index("### dam, 20 ms a step (stride 1), 2 seeds"),
+        text.index("### dam, 40 ms a step (stride 2), 1 seed\n"),
+    )
+    cells = row(text[first:], "without global feature")
+    values = [one_step(run, "no global feature", "skill") for run in runs[:2]]
+    mean, deviation = (float(part) for part in cells[1].split(" ± "))
+    assert deviation == pytest.approx(stdev(values), rel=0.06)
+    assert mean == pytest.approx(fmean(values), abs=stdev(values) / 10)
+    trivial = one_step(runs[0], "ballistic", MSE)
+    assert row(text[first:], "ballistic")[2] == f"{trivial:.4g}"
+    alone = one_step(runs[2], "model", "position_error_1 mm")
+    assert row(text[second:], "model (velocity, global feature)")[3] == f"{alone:.4g}"
+    written = table(tmp_path / "ablations_one_step.csv")
+    assert len(written) == 3 * 5
+    for name in ("no global feature", "ballistic"):
+        place = {"scene": "dam", "stride": "1", "seed": "1", "predictor": name}
+        (line,) = (line for line in written if place.items() <= line.items())
+        assert float(line[MSE]) == one_step(runs[1], name, MSE)
+
+
+def test_twins_are_paired_by_seed_and_two_seeds_decide_nothing(
+    runs: list[TrainedRun], tmp_path: Path
+) -> None:
+    text = write_report(tmp_path, list(reversed(runs)), 3)
+    found = {
+        (line["twin"], line["stride"], line["figure"]): line
+        for line in table(tmp_path / "ablations.csv")
+    }
+    assert len(found) == 2 * 2 * 3
+    for who in ("acceleration", "no global feature"):
+        for figure, column in (("position_error, 0.8 s", "position_error mm"),
+                               ("chamfer, 0.8 s", "chamfer mm")):  # fmt: skip
+            each = [
+                rolled(run, who, 40, column) / rolled(run, "model", 40, column) for run in runs[:2]
+            ]
+            line = found[who, "1", figure]
+            assert [float(value) for value in line["each seed"].split()] == pytest.approx(each)
+            assert float(line["twin / model"]) == pytest.approx(math.sqrt(each[0] * each[1]))
+        each = [one_step(run, who, MSE) / one_step(run, "model", MSE) for run in runs]
+        for stride, ratio in (("1", math.sqrt(each[0] * each[1])), ("2", each[2])):
+            line = found[who, stride, "velocity_mse, one step"]
+            assert float(line["twin / model"]) == pytest.approx(ratio)
+            assert (line["from"], line["to"], line["decided"]) == ("", "", "not decided")
+            assert line["seeds"] == ("2" if stride == "1" else "1")
+            if who == "acceleration":
+                step, seeds = ("20", "2 seeds") if stride == "1" else ("40", "1 seed")
+                assert (
+                    f"- At {step} ms a step (dam, {seeds}): not decided: the acceleration's "
+                    f"velocity_mse is {digits(ratio)} times the velocity's."
+                ) in text
+
+
+def test_rollouts_stand_at_the_same_times(runs: list[TrainedRun], tmp_path: Path) -> None:
+    text = write_report(tmp_path, runs, 3)
+    part = text[text.index("## Rollouts") :]
+    assert "no rows are at the same time" not in part
+    truth = rolled(runs[2], "truth", 5, "kinetic_energy J/kg")
+    # 0.2 s are five steps of 40 ms.
+    stride_2 = part[part.index("stride 2") :]
+    cells = row(stride_2, "0.2", "5", "without global feature")
+    assert cells[3] == f"{rolled(runs[2], 'no global feature', 5, 'position_error mm'):.4g}"
+    assert cells[4] == "–"
+    energy = rolled(runs[2], "no global feature", 5, "kinetic_energy J/kg")
+    assert cells[5:7] == [f"{energy:.4g}", f"{truth:.4g}"]
+    assert row(stride_2, "0.8", "20", "truth")[5] == row(stride_2, "0.8", "20", "ballistic")[6]
+    written = table(tmp_path / "ablations_rollouts.csv")
+    assert {(line["stride"], line["steps"]) for line in written} == {
+        ("1", "10"), ("1", "40"), ("2", "5"), ("2", "20"),
+    }  # fmt: skip
+    assert len(written) == 3 * 2 * 7
+
+
+def test_three_seeds_decide(copy: Copy, tmp_path: Path) -> None:
+    made = copy(3)
+    ratios = (0.010, 0.012, 0.015)
+    for run, ratio in zip(made, ratios, strict=True):
+        change_one_step(run, "acceleration", MSE, ratio * one_step(run, "model", MSE))
+    for run, ratio in zip(made, (0.5, 2.0, 4.0), strict=True):
+        change_one_step(run, "no global feature", MSE, ratio * one_step(run, "model", MSE))
+    text = write_report(tmp_path, made, 3)
+    logs = np.log(ratios)
+    # The 97.5 % quantile of Student's t with two degrees of freedom.
+    half = 4.302652729911275 * logs.std(ddof=1) / math.sqrt(3)
+    mean, lower, upper = (math.exp(logs.mean() + sign * half) for sign in (0, -1, 1))
+    expected = f"{mean:#.3g} [{lower:#.3g}, {upper:#.3g}]"
+    assert (
+        "- At 20 ms a step (dam, 3 seeds): refuted: the acceleration's velocity_mse is "
+        f"{expected} times the velocity's."
+    ) in text
+    assert "(dam, 3 seeds): not decided: without the global feature velocity_mse is 1.59 [" in text
+    line = table(tmp_path / "ablations.csv")[0]
+    assert float(line["from"]) == pytest.approx(lower) and line["decided"] == "the twin is better"
+
+
+@pytest.mark.parametrize("each", [(1.1, 1.3, 1.2), (0.4, 3.0, 1.0, 2.0), (1e-3, 2e-3, 1e-3)])
+def test_the_interval_is_that_of_scipys_t_test(each: tuple[float, ...]) -> None:
+    ratio = Ratio(each)
+    known = ttest_1samp(np.log(each), 0.0).confidence_interval(0.95)
+    assert ratio.interval == pytest.approx((math.exp(known.low), math.exp(known.high)))
+    assert ratio.mean == pytest.approx(np.prod(each) ** (1 / len(each)))
+    decided = known.low > 0 or known.high < 0
+    assert ratio.side() == (decided and (1 if ratio.mean > 1 else -1))
+
+
+@pytest.mark.parametrize(
+    ("each", "mean", "words"),
+    [
+        ((), NAN, "unknown"),
+        ((4.0,), 4.0, "4.00"),
+        ((1.0, 4.0), 2.0, "2.00"),
+        ((2.0, INF, 2.0), INF, "inf (not finite in 1 of 3 seeds)"),
+        ((2.0, NAN, INF), NAN, "nan (not finite in 2 of 3 seeds)"),
+        ((2.0, 0.0, 2.0), 0.0, "0.00"),
+        ((1e300, 1e-300, 1e300, 1e-300), 1.0, "1.00 [0.00, inf]"),
+    ],
+)
+def test_what_has_no_interval(each: tuple[float, ...], mean: float, words: str) -> None:
+    ratio = Ratio(each)
+    assert ratio.mean == pytest.approx(mean, nan_ok=True)
+    assert str(ratio) == words and ratio.side() == 0
+
+
+def test_ratios_of_what_is_not_finite() -> None:
+    pairs = [(1.0, 2.0), (INF, 2.0), (INF, INF), (1.0, INF), (1.0, 0.0), (0.0, 0.0), (0.0, 1.0)]
+    expected = (0.5, INF, NAN, 0.0, INF, NAN, 0.0)
+    assert Ratio.of(pairs).each == pytest.approx(expected, nan_ok=True)
+
+
+def around(value: float) -> Ratio:
+    """An interval close about a value."""
+    return Ratio((0.99 * value, value, 1.01 * value))
+
+
+@pytest.mark.parametrize(
+    ("share", "relative", "verdict"),
+    [
+        (around(0.05), around(0.5), "confirmed"),
+        (around(0.9), around(0.95), "confirmed in part: it loses energy, but not to near 0"),
+        (around(1.0), around(1.0), "refuted"),
+        (around(1.2), around(1.3), "refuted"),
+        (around(0.02), around(2.0), "refuted"),
+        (around(0.02), around(1.0), "not decided"),
+        (around(0.1), around(0.5), "not decided"),
+        (Ratio((0.01, 0.01)), Ratio((0.1, 0.1)), "not decided"),
+        (Ratio((1.0, 1.1, INF)), Ratio((1.0, 1.1, INF)), "not decided"),
+    ],
+)
+def test_whether_the_field_goes_to_zero(share: Ratio, relative: Ratio, verdict: str) -> None:
+    assert energy_verdict(share, relative) == verdict
+
+
+def test_energies_at_both_times(runs: list[TrainedRun], tmp_path: Path) -> None:
+    text = write_report(tmp_path, runs, 3)
+    for time, steps in (("0.2", 5), ("0.8", 20)):
+        without, with_it, truth = (
+            rolled(runs[2], who, steps, "kinetic_energy J/kg")
+            for who in ("no global feature", "model", "truth")
+        )
+        assert (
+            f"- At 40 ms a step (dam, 1 seed), after {time} s: not decided: without the global "
+            f"feature a rollout has {digits(without / truth)} times the truth's kinetic energy, "
+            f"with it {digits(with_it / truth)} times; without over with is "
+            f"{digits(without / with_it)}."
+        ) in text
+
+
+def test_all_below_zero_is_said(copy: Copy, tmp_path: Path) -> None:
+    made = copy(2)
+    for run in made:
+        for who in ("model", "acceleration", "no global feature"):
+            change_one_step(run, who, "skill", -0.5)
+    said = "**dam, 20 ms a step: all models lie below skill 0"
+    pair = "Both lie below skill 0, worse than doing nothing."
+    text = write_report(tmp_path, made, 2)
+    assert said in text and text.count(pair) == 2
+    # It is the mean over seeds.
+    change_one_step(made[0], "acceleration", "skill", 0.6)
+    text = write_report(tmp_path, made, 2)
+    assert said not in text and text.count(pair) == 1
+
+
+@pytest.mark.parametrize(
+    ("values", "steps", "words"),
+    [
+        ([9, 9, 9, 9, 9, 9, 8, 6], 8, "falls 25 %"),
+        ([9, 9, 9, 9, 9, 9, 8, 10], 8, "rises 25 %"),
+        ([9, 9, 9, 9, 9, 9, 1, 0.96], 8, "flat"),
+        ([9, 9, 9, 9, 9, 9, 1, 0.94], 8, "falls 6 %"),
+        # Means over two each.
+        ([9] * 12 + [3, 5, 2, 1], 16, "falls 62 %"),
+        ([9, 8, 7, 6], 4, "too few validations"),
+        # Training went on, and the last eighth has none.
+        ([9, 8, 7, 6, 5, 4, 3, 2], 10, "too few validations"),
+        ([], 8, "too few validations"),
+        ([9, 9, 9, 9, 9, 9, INF, 6], 8, "not finite"),
+        ([9, 9, 9, 9, 9, 9, 8, NAN], 8, "not finite"),
+    ],
+)
+def test_flatness(values: list[float], steps: int, words: str) -> None:
+    every = steps // len(values) if values else 1
+    curve = tuple((every * (index + 1) - 1, value) for index, value in enumerate(values))
+    assert str(Flatness.of(curve, steps)) == words
+
+
+def test_the_worst_of_the_seeds() -> None:
+    few, broken, flat = Flatness(None), Flatness(NAN), Flatness(0.01)
+    falls, rises = Flatness(-0.2), Flatness(0.1)
+    assert worst([flat, rises, falls]) is falls
+    assert worst([falls, broken]) is broken
+    assert worst([broken, few, falls]) is few
+
+
+def test_how_long_was_trained(runs: list[TrainedRun], tmp_path: Path) -> None:
+    part = write_report(tmp_path, runs, 3).partition("## Was training long enough?")[2]
+    cells = row(part, "dam", "20 ms a step")
+    assert cells[2:4] == ["8", "8"]
+    numbers = read_numbers(runs)
+    ends = []
+    for run in numbers[:2]:
+        *_, before, last = (value for _, value in run.curve("velocity_mse", "model"))
+        ends.append(last / before - 1)
+    change = max(ends, key=abs)
+    assert cells[4] == str(Flatness(change))
+
+
+@pytest.mark.parametrize(
+    ("values", "seeds", "words"),
+    [
+        ([], 3, "–"),
+        ([0.5], 1, "0.5"),
+        ([0.5], 2, "0.5 (1 of 2 seeds)"),
+        ([0.5, 0.5], 2, "0.5"),
+        ([1.0, 2.0, 3.0], 3, "2.0 ± 1.0"),
+        ([1.0, 1.001], 2, "1.00050 ± 0.00071"),
+        ([500.0, 1100.0], 2, "800 ± 420"),
+        ([1e-9, 3e-9], 2, "2e-09 ± 1.4e-09"),
+        ([1.0, 2.0], 3, "1.50 ± 0.71 (2 of 3 seeds)"),
+        ([1.0, INF, 2.0], 3, "inf in 1 of 3 seeds"),
+        ([-INF, -1.0], 2, "-inf in 1 of 2 seeds"),
+        ([INF], 1, "inf"),
+    ],
+)
+def test_spread(values: list[float], seeds: int, words: str) -> None:
+    assert spread(values, seeds) == words
+
+
+def test_a_rollout_that_blew_up_is_infinite(copy: Copy, tmp_path: Path) -> None:
+    made = copy(2)
+    path = made[1].folder / "rollout_metrics.csv"
+    for column in ("position_error mm", "kinetic_energy J/kg"):
+        change(path, column, INF, predictor="no global feature", steps="40")
+    text = write_report(tmp_path, made, 2)
+    rollouts = text[text.index("## Rollouts") :]
+    assert row(rollouts, "0.8", "40", "without global feature")[3] == "inf in 1 of 2 seeds"
+    found = row(text, "without global feature", "dam", "20 ms a step", "position_error, 0.8 s")
+    assert found[5] == "inf" and found[8].endswith(", inf") and found[9] == "not decided"
+    assert "without over with is inf (not finite in 1 of 2 seeds)." in text
+    (axes,) = energy_figure(grouped(read_numbers(made))).axes
+    assert "without global feature: not finite in the end" in axes.get_title()
+    change(path, "kinetic_energy J/kg", 1e6, predictor="no global feature", steps="40")
+    (axes,) = energy_figure(grouped(read_numbers(made))).axes
+    assert "without global feature: up to 1e+06 J/kg" in axes.get_title()
+    truth = max(
+        rolled(made[0], "truth", steps, "kinetic_energy J/kg") for steps in (1, 2, 5, 10, 25, 40)
+    )
+    assert axes.get_ylim() == pytest.approx((0, 1.08 * 3 * truth))
+
+
+def test_what_is_missing_is_said(copy: Copy, tmp_path: Path) -> None:
+    made = copy(2)
+    path = "foreign_context.csv"
+    ratio = number(
+        made[0].folder / path, "velocity_mse / own", **{"global feature of": "another frame"}
+    )
+    (made[1].folder / path).unlink()
+    text = write_report(tmp_path, made, 7)
+    assert "**2 of 7 runs are finished.**" in text
+    assert "dam, stride 1, seed 1: there is no foreign_context.csv.\n" in text
+    assert "seed 0: there" not in text
+    part = text[text.index("## Does the network look") :]
+    assert row(part, "dam")[2:] == ["1", f"{ratio:.4g} (1 of 2 seeds)"]
+    for name in (path, "rollout_metrics.csv"):
+        for run in made:
+            (run.folder / name).unlink(missing_ok=True)
+    text = write_report(tmp_path, made, 2)
+    part = text[text.index("## Does the network look") :]
+    assert row(part, "dam")[1:] == ["stride 1", "0", "–"]
+    assert "No rollouts were measured." in text
+
+
+def test_no_run_and_no_folder(tmp_path: Path) -> None:
+    assert write_report(tmp_path, [], 3) == "# Ablations\n\n**0 of 3 runs are finished.**\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["ablations.md"]
+    with pytest.raises(UserError, match="not the folder of a run"):
+        write_report(tmp_path, [TrainedRun("dam", 1, 0, tmp_path / "nowhere")], 3)
+
+
+def test_the_rule_for_times_that_do_not_match(copy: Copy, tmp_path: Path) -> None:
+    first, second = copy(2)
+    path = second.folder / "rollout_metrics.csv"
+    change(path, "time s", 0.25, steps="10")
+    second = TrainedRun("dam", 3, 0, second.folder)
+    text = write_report(tmp_path, [first, second], 2)
+    words = "dam: no rows are at the same time; stand 0.2 s at stride 1 beside 0.25 s at stride 3."
+    assert words in text and "at the end" not in text.partition("## Rollouts")[2]
+
+
+def test_figures(runs: list[TrainedRun], copy: Copy, tmp_path: Path) -> None:
+    other = TrainedRun("pool", 1, 0, copy(1)[0].folder)
+    write_report(tmp_path, [*runs, other], 4)
+    for name in ("target", "global_feature", "global_feature_energy"):
+        path = tmp_path / f"{name}.png"
+        with Image.open(path) as picture:
+            assert 600 <= picture.width <= 1600
+        assert 10_000 < path.stat().st_size < 1e6
+    groups = grouped(read_numbers([*runs, other]))
+    dam, wide, pool, empty = target_figure([*groups]).axes
+    assert [axes.get_title() for axes in (dam, wide, pool, empty)] == [
+        "dam, 20 ms a step (stride 1), 2 seeds",
+        "dam, 40 ms a step (stride 2), 1 seed",
+        "pool, 20 ms a step (stride 1), 1 seed",
+        "pool, stride 2: not trained",
+    ]
+    assert dam.get_yscale() == "log" and not empty.axison
+    # Two seeds and their mean of either model, and the trivial predictor.
+    assert (len(dam.lines), len(wide.lines)) == (7, 3)
+    one, two = (dict(run.curve("velocity_mse", "model")) for run in read_numbers(runs[:2]))
+    assert dam.lines[2].get_ydata() == pytest.approx([(one[step] + two[step]) / 2 for step in one])
+    assert list(dam.lines[2].get_xdata()) == list(range(1, 9))
+
+
+def test_the_trivial_predictor_is_the_same_for_all_models(runs: list[TrainedRun]) -> None:
+    group = grouped(read_numbers(runs))[0]
+    trivial = trivial_mse(group)
+    for run in group.runs:
+        for who in ("acceleration", "no_global_feature"):
+            skills = dict(run.curve("skill", who))
+            for step, error in run.curve("velocity_mse", who):
+                assert error / (1 - skills[step]) == pytest.approx(trivial, rel=1e-4)
+
+
+def test_cost_is_the_median_over_runs(runs: list[TrainedRun], tmp_path: Path) -> None:
+    ratios = []
+    for run in read_numbers(runs):
+        mine, twin = run.step_seconds("model"), run.step_seconds("acceleration")
+        assert mine and twin
+        ratios.append(twin / mine)
+    expected = f"{digits(sorted(ratios)[1])} times as long with the acceleration target (of 3 runs)"
+    assert expected in write_report(tmp_path, runs, 3)
