@@ -74,6 +74,8 @@ def energy_verdict(share: Ratio, relative: Ratio) -> str:
     near = share.side(NEAR_ZERO)
     if relative.side() < 0 and near:
         return "confirmed" if near < 0 else "confirmed in part: it loses energy, but not to near 0"
+    if relative.side() > 0 and near < 0:
+        return "refuted: it goes near 0, and with the global feature still more so"
     if relative.side() > 0 or (relative.interval is not None and near > 0):
         return "refuted"
     return "not decided"
@@ -84,10 +86,12 @@ def _accuracy(group: Group, twin: str) -> str:
     if not ratio.each:
         return ""
     whose = {
-        ACCELERATION: "the acceleration's velocity_mse is {} times the velocity's",
-        WITHOUT: "without the global feature velocity_mse is {} times that with it",
+        ACCELERATION: "the acceleration's velocity_mse is {} times the velocity's{}",
+        WITHOUT: "without the global feature velocity_mse is {} times that with it{}",
     }[twin]
-    words = f"{_where(group)}: {_WORDS[ratio.side()]}: {whose.format(ratio)}."
+    # "0.5 [0.4, 0.6]": the interval comes last.
+    mean, space, interval = str(ratio).partition(" ")
+    words = f"{_where(group)}: {_WORDS[ratio.side()]}: {whose.format(mean, space + interval)}."
     if below_zero(group, MODEL) and below_zero(group, twin):
         words += " Both lie below skill 0, worse than doing nothing."
     return words

@@ -66,7 +66,7 @@ def one_step_table(group: Group) -> str:
         found = [group.values(one_step(who, column)) for column in ONE_STEP]
         if any(found):
             rows.append([label, *(spread(values, len(group.runs)) for values in found)])
-    return markdown(("one step ahead", *ONE_STEP), rows)
+    return markdown(("one step ahead", *ONE_STEP), rows) if rows else "No test was run.\n"
 
 
 def rollout_table(group: Group) -> str:
@@ -111,7 +111,7 @@ def comparison_table(comparisons: Sequence[Comparison]) -> str:
                 one.decision,
             ]
         )
-    return markdown(header, rows)
+    return markdown(header, rows) if rows else "There is nothing to compare.\n"
 
 
 def training_table(groups: Sequence[Group]) -> str:
