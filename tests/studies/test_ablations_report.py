@@ -150,7 +150,8 @@ def test_one_step_is_mean_and_deviation_over_seeds(runs: list[TrainedRun], tmp_p
     for name in ("no global feature", "ballistic"):
         place = {"scene": "dam", "stride": "1", "seed": "1", "predictor": name}
         (line,) = (line for line in written if place.items() <= line.items())
-        assert float(line[MSE]) == one_step(runs[1], name, MSE)
+        for column in ("skill", MSE, "position_error_1 mm"):
+            assert float(line[column]) == one_step(runs[1], name, column)
 
 
 def test_twins_are_paired_by_seed_and_two_seeds_decide_nothing(
@@ -309,6 +310,8 @@ def test_all_below_zero_is_said(copy: Copy, tmp_path: Path) -> None:
     text = write_report(tmp_path, made, 2)
     assert said in text and text.count(pair) == 2
     # It is the mean over seeds.
+    change_one_step(made[0], "acceleration", "skill", 0.4)
+    assert said in write_report(tmp_path, made, 2)
     change_one_step(made[0], "acceleration", "skill", 0.6)
     text = write_report(tmp_path, made, 2)
     assert said not in text and text.count(pair) == 1
