@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from callbacks.table import Cell
-from fluidsnet.report.events import TRAINED, Curve
+from fluidsnet.report.events import RATE, TRAINED, Curve
 from fluidsnet.report.grid import Grid
 from fluidsnet.report.run import Run, read_runs
 from fluidsnet.studies.trained_run import TrainedRun
@@ -69,6 +69,16 @@ class Numbers:
         tags = (TRAINED, f"ablation/velocity_mse/{MODEL}")
         curves = [self.run.history.curves.get(tag, ()) for tag in tags]
         return max((curve[-1][0] + 1 for curve in curves if curve), default=0)
+
+    @property
+    def rates(self) -> tuple[float, float] | None:
+        """The model's learning rate at the start of training and at its end, if it was logged."""
+        # With twins there is one of each model.
+        for tag in (f"{RATE}/{MODEL}", RATE):
+            curve = self.run.history.curves.get(tag)
+            if curve:
+                return curve[0][1], curve[-1][1]
+        return None
 
     def curve(self, figure: str, who: str) -> Curve:
         """What validations logged of a model: (training step, value)."""

@@ -80,7 +80,7 @@ def write_report(output: Path, runs: Sequence[TrainedRun], planned: int) -> str:
             "## Was training long enough?\n",
             "The mean of the validations' velocity_mse over the last eighth of training, beside "
             f"that over the eighth before; flat is a change below {100 * FLAT:g} %. The worst of "
-            "the seeds.\n",
+            "the seeds. A curve is also flat where the learning rate has become small.\n",
             training_table(groups),
             "## Does the network look at its global feature?\n",
             "The model's velocity_mse with the global feature of another frame over that with its "

@@ -125,8 +125,11 @@ def training_table(groups: Sequence[Group]) -> str:
                        for run in group.runs]))
             for who in LABELS
         ]  # fmt: skip
-        rows.append([group.scene, group.step, min(steps), min(counts), *ends])
-    return markdown(("scene", "step", "training steps", "validations", *LABELS.values()), rows)
+        known = dict.fromkeys(run.rates for run in group.runs if run.rates is not None)
+        rates = ", ".join(f"{first:.2g} to {last:.2g}" for first, last in known) or NONE
+        rows.append([group.scene, group.step, min(steps), rates, min(counts), *ends])
+    header = ("scene", "step", "training steps", "learning rate", "validations")
+    return markdown((*header, *LABELS.values()), rows)
 
 
 def foreign_table(groups: Sequence[Group]) -> str:
