@@ -26,6 +26,7 @@ experiments (LightningCLI; compose several --config, base first):
 
 studies:
   speed      time a network's step beside the solver, against the number of particles
+  ablations  what to predict, and with the global feature or without: over scenes and seeds
   report     write what one run or several logged as one page, with tables and curves
 
 test, validate and predict take a run's folder in place of its files:
@@ -49,6 +50,7 @@ def main(arguments: list[str] | None = None) -> None:
         "test": _experiment,
         "predict": _experiment,
         "speed": _speed,
+        "ablations": _ablations,
         "report": _report,
     }
     if not arguments or arguments[0] in ("-h", "--help"):
@@ -96,6 +98,12 @@ def _speed(arguments: list[str]) -> None:
     from fluidsnet.studies.speed import speed_command
 
     speed_command(arguments[1:])
+
+
+def _ablations(arguments: list[str]) -> None:
+    from fluidsnet.studies.ablations.command import ablations_command
+
+    ablations_command(arguments[1:])
 
 
 def _report(arguments: list[str]) -> None:

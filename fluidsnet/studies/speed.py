@@ -6,14 +6,14 @@ import shutil
 import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Literal, NoReturn
+from typing import Literal
 
 import torch
-from jsonargparse import ArgumentParser
 
 from datamodules.generate.solver import load_solver
 from fluidsnet.errors import UserError
 from fluidsnet.studies.machine import cores
+from fluidsnet.studies.parser import Parser, study_parser
 from fluidsnet.studies.speed_run import Run
 from fluidsnet.studies.trial import Precision
 
@@ -98,18 +98,6 @@ class SpeedOptions:
             raise UserError("--device cuda needs a CUDA GPU, and torch finds none.")
 
 
-class _Parser(ArgumentParser):
-    """Says what is wrong in one sentence."""
-
-    def error(self, message: str, ex: Exception | None = None) -> NoReturn:
-        """Ends the parsing.
-
-        Raises:
-            UserError: always.
-        """
-        raise UserError(f"{message}\nSee `{self.prog} --help`.") from ex
-
-
 def speed_command(arguments: list[str]) -> None:
     """Measures what the options say, and writes tables and figure after each size.
 
@@ -137,17 +125,15 @@ def speed_command(arguments: list[str]) -> None:
     print(f"\n{folder}/speed.md, speed.csv and speed.png hold it.")
 
 
-def _parser() -> ArgumentParser:
-    parser = _Parser(
-        prog="fluidsnet speed",
-        description=(
+def _parser() -> Parser:
+    return study_parser(
+        "speed",
+        (
             "Measures how long one step of a network takes against the number of particles, "
             "beside SPlisHSPlasH on the same scenes with the same threads: dam breaks whose "
             "domain grows while the particles stay the paper's. Tables and figure are written "
             "after each size. Nothing else should run meanwhile. "
             "A first try: fluidsnet speed --particles [1000,30000]"
         ),
+        SpeedOptions,
     )
-    parser.add_argument("--config", action="config", help="a file with these options")
-    parser.add_class_arguments(SpeedOptions)
-    return parser

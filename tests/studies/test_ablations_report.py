@@ -17,15 +17,15 @@ from scipy.stats import ttest_1samp
 
 from fluidsnet.errors import UserError
 from fluidsnet.main import main
-from fluidsnet.studies.ablations_claims import energy_verdict
-from fluidsnet.studies.ablations_figures import energy_figure, target_figure, trivial_mse
-from fluidsnet.studies.ablations_flatness import Flatness, worst
-from fluidsnet.studies.ablations_group import grouped
-from fluidsnet.studies.ablations_numbers import read_numbers
-from fluidsnet.studies.ablations_ratio import Ratio, digits
-from fluidsnet.studies.ablations_report import write_report
-from fluidsnet.studies.ablations_tables import spread
-from fluidsnet.studies.trained_run import TrainedRun
+from fluidsnet.studies.ablations.claims import energy_verdict
+from fluidsnet.studies.ablations.figures import energy_figure, target_figure, trivial_mse
+from fluidsnet.studies.ablations.flatness import Flatness, worst
+from fluidsnet.studies.ablations.group import grouped
+from fluidsnet.studies.ablations.numbers import read_numbers
+from fluidsnet.studies.ablations.ratio import Ratio, digits
+from fluidsnet.studies.ablations.report import write_report
+from fluidsnet.studies.ablations.tables import spread
+from fluidsnet.studies.ablations.trained_run import TrainedRun
 
 ROOT = Path(__file__).parents[2]
 MSE = "velocity_mse m²/s²"

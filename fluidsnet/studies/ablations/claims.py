@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from fluidsnet.studies.ablations_comparison import accuracy, paired
-from fluidsnet.studies.ablations_group import Group, Moment
-from fluidsnet.studies.ablations_numbers import (
+from fluidsnet.studies.ablations.comparison import accuracy, paired
+from fluidsnet.studies.ablations.group import Group, Moment
+from fluidsnet.studies.ablations.numbers import (
     ACCELERATION,
     LABELS,
     MODEL,
@@ -14,7 +14,7 @@ from fluidsnet.studies.ablations_numbers import (
     one_step,
     rollout,
 )
-from fluidsnet.studies.ablations_ratio import Ratio
+from fluidsnet.studies.ablations.ratio import Ratio
 
 #: A velocity field is near 0 with less than this share of the truth's kinetic energy.
 NEAR_ZERO = 0.1

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from fluidsnet.studies.ablations_claims import claims, rule, warnings
-from fluidsnet.studies.ablations_comparison import compare
-from fluidsnet.studies.ablations_figures import draw_figures
-from fluidsnet.studies.ablations_files import write_files
-from fluidsnet.studies.ablations_flatness import FLAT
-from fluidsnet.studies.ablations_group import Group, grouped
-from fluidsnet.studies.ablations_numbers import read_numbers
-from fluidsnet.studies.ablations_tables import (
+from fluidsnet.studies.ablations.claims import claims, rule, warnings
+from fluidsnet.studies.ablations.comparison import compare
+from fluidsnet.studies.ablations.figures import draw_figures
+from fluidsnet.studies.ablations.files import write_files
+from fluidsnet.studies.ablations.flatness import FLAT
+from fluidsnet.studies.ablations.group import Group, grouped
+from fluidsnet.studies.ablations.numbers import read_numbers
+from fluidsnet.studies.ablations.tables import (
     comparison_table,
     cost_line,
     foreign_table,
@@ -20,7 +20,7 @@ from fluidsnet.studies.ablations_tables import (
     rollout_table,
     training_table,
 )
-from fluidsnet.studies.trained_run import TrainedRun
+from fluidsnet.studies.ablations.trained_run import TrainedRun
 
 _PICTURES = {
     "target.png": "Errors of both targets on the validation split, in one unit; thin lines are "

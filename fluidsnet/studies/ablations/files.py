@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from callbacks.table import Cell, write_csv
-from fluidsnet.studies.ablations_comparison import Comparison
-from fluidsnet.studies.ablations_group import Group
-from fluidsnet.studies.ablations_tables import ONE_STEP, ONE_STEP_ROWS, ROLLOUT, ROLLOUT_ROWS
+from fluidsnet.studies.ablations.comparison import Comparison
+from fluidsnet.studies.ablations.group import Group
+from fluidsnet.studies.ablations.tables import ONE_STEP, ONE_STEP_ROWS, ROLLOUT, ROLLOUT_ROWS
 
 _RUN = ("scene", "stride", "seed")
 

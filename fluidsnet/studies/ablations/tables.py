@@ -8,10 +8,10 @@ from statistics import fmean, median, stdev
 
 from callbacks.table import Cell, markdown
 from fluidsnet.report.grid import NONE, near, shown
-from fluidsnet.studies.ablations_comparison import Comparison
-from fluidsnet.studies.ablations_flatness import Flatness, worst
-from fluidsnet.studies.ablations_group import Group
-from fluidsnet.studies.ablations_numbers import (
+from fluidsnet.studies.ablations.comparison import Comparison
+from fluidsnet.studies.ablations.flatness import Flatness, worst
+from fluidsnet.studies.ablations.group import Group
+from fluidsnet.studies.ablations.numbers import (
     ACCELERATION,
     LABELS,
     MODEL,
@@ -20,7 +20,7 @@ from fluidsnet.studies.ablations_numbers import (
     one_step,
     rollout,
 )
-from fluidsnet.studies.ablations_ratio import digits
+from fluidsnet.studies.ablations.ratio import digits
 
 ONE_STEP = ("skill", "velocity_mse m²/s²", "position_error_1 mm")
 #: A column of `rollout_metrics.csv`, and its name here.

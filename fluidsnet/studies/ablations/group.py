@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from fluidsnet.studies.ablations_numbers import Lookup, Numbers
+from fluidsnet.studies.ablations.numbers import Lookup, Numbers
 
 #: The time in s at which rollouts are looked at, beside their end.
 MIDDLE = 0.25

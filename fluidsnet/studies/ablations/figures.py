@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from callbacks.rollout_curves import COLORS, TWIN_COLORS
-from fluidsnet.studies.ablations_group import Group
-from fluidsnet.studies.ablations_numbers import ACCELERATION, MODEL, WITHOUT
+from fluidsnet.studies.ablations.group import Group
+from fluidsnet.studies.ablations.numbers import ACCELERATION, MODEL, WITHOUT
 
 _COLORS = {
     MODEL: COLORS["model"],

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from fluidsnet.studies.ablations_group import Group
-from fluidsnet.studies.ablations_numbers import (
+from fluidsnet.studies.ablations.group import Group
+from fluidsnet.studies.ablations.numbers import (
     ACCELERATION,
     MODEL,
     WITHOUT,
@@ -14,7 +14,7 @@ from fluidsnet.studies.ablations_numbers import (
     one_step,
     rollout,
 )
-from fluidsnet.studies.ablations_ratio import Ratio
+from fluidsnet.studies.ablations.ratio import Ratio
 
 #: What is compared of rollouts, after their last step.
 _ROLLOUT = ("position_error mm", "chamfer mm")

@@ -9,7 +9,7 @@ from callbacks.table import Cell
 from fluidsnet.report.events import RATE, TRAINED, Curve
 from fluidsnet.report.grid import Grid
 from fluidsnet.report.run import Run, read_runs
-from fluidsnet.studies.trained_run import TrainedRun
+from fluidsnet.studies.ablations.trained_run import TrainedRun
 
 #: The paper's network, and the twins that an `Ablation` trains beside it.
 MODEL, ACCELERATION, WITHOUT = "model", "acceleration", "no_global_feature"

@@ -1,0 +1,1 @@
+"""``fluidsnet ablations``: what the paper claims of target and global feature, tried."""
