@@ -60,7 +60,8 @@ def write_report(output: Path, runs: Sequence[TrainedRun], planned: int) -> str:
         parts += [
             "Each run trains the paper's network, which predicts the velocity and has the global "
             "feature, and beside it on the same batches two twins: one that predicts the "
-            "acceleration, and one without the global feature. Numbers are means ± sample "
+            "acceleration, and one without the global feature. Measured are the last weights of "
+            "each. Numbers are means ± sample "
             "standard deviations over seeds; of one seed, and where all agree, the value alone. "
             f"In full they are in {', '.join(f'[{name}]({name})' for name in files)}.\n",
             "## The paper's claims (section 5.6)\n",
@@ -103,12 +104,12 @@ def _times(groups: Sequence[Group]) -> list[str]:
     found = []
     for scene in dict.fromkeys(group.scene for group in groups):
         moments = {group.stride: group.moments() for group in groups if group.scene == scene}
-        for words, index in (("", 0), ("at the end ", -1)):
+        for words, index in (("first", 0), ("last", -1)):
             times = {stride: of[index].time for stride, of in moments.items() if len(of) == 2}
             # Times are products of a time step.
             if len({round(time, 6) for time in times.values()}) > 1:
-                beside = " beside ".join(
-                    f"{time:.4g} s at stride {stride}" for stride, time in times.items()
+                when = ", ".join(
+                    f"after {time:.4g} s at stride {stride}" for stride, time in times.items()
                 )
-                found.append(f"{scene}: no rows are at the same time; {words}stand {beside}.")
+                found.append(f"{scene}: the {words} rows are not of the same time, but {when}.")
     return found
