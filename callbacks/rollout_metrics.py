@@ -135,6 +135,14 @@ class RolloutMetrics(Callback, ChartSource):
         assert isinstance(pl_module, FluidsNet)
         self.write_charts(trainer, pl_module)
 
+    def state_dict(self) -> dict[str, Any]:
+        """Of a training that is resumed, which validation comes next."""
+        return {"validations": self._validations}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Goes on counting."""
+        self._validations = state_dict["validations"]
+
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Rolls out, if it is this validation's turn, and logs."""
         if trainer.sanity_checking or self.every_n_validations == 0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import warnings
 from collections.abc import Callable
@@ -123,9 +124,16 @@ def _experiment(arguments: list[str]) -> None:
         ".*Grad strides do not match bucket view strides.*",
     ):
         warnings.filterwarnings("ignore", message)
+    from lightning.pytorch.utilities.exceptions import SIGTERMException
+
     from fluidsnet.cli import run
 
-    run(_with_run(arguments))
+    try:
+        run(_with_run(arguments))
+    except SIGTERMException:
+        # Lightning ends with status 0, as if the work were done.
+        print("fluidsnet: terminated.", file=sys.stderr)
+        sys.exit(128 + signal.SIGTERM)
 
 
 def _with_run(arguments: list[str]) -> list[str]:

@@ -8,12 +8,15 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
+from fluidsnet.errors import UserError
 from fluidsnet.main import main
-from fluidsnet.studies.ablations.training import NOTE
+from fluidsnet.studies.ablations.training import NOTE, Training
 
 ROOT = Path(__file__).parents[2]
 
@@ -58,10 +61,10 @@ def test_an_interrupted_study_goes_on_and_ends_once(
     os.killpg(study.pid, signal.SIGINT)
     _, said = study.communicate(timeout=60)
     assert study.returncode == 130, said
-    assert json.loads((run / NOTE).read_text())["seconds"] == {}
+    assert json.loads((run / NOTE).read_text())["done"] == []
 
     main(words)
-    assert set(json.loads((run / NOTE).read_text())["seconds"]) == {"fit", "test"}
+    assert json.loads((run / NOTE).read_text())["done"] == ["fit", "test"]
     assert "Restored all states from the checkpoint" in (run / "fit.log").read_text()
     for name in ("one_step.csv", "rollout_metrics.csv", "foreign_context.csv"):
         assert (run / name).exists()
@@ -77,20 +80,76 @@ def test_an_interrupted_study_goes_on_and_ends_once(
     # With other options it would be another study.
     with pytest.raises(SystemExit, match="1"):
         main(options(folder, 25))
-    assert "was trained with other options" in capsys.readouterr().err
+    assert "was trained with other options or configs" in capsys.readouterr().err
 
 
 def test_a_training_that_fails_is_said_and_takes_no_other_along(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = options(tmp_path, 2)
-    words[1] = f"--runs={json.dumps([{'scene': 'sample', 'strides': [999], 'seeds': [0]}])}"
+    words[1] = f"--runs={json.dumps([{'scene': 'sample', 'strides': [999, 1], 'seeds': [0]}])}"
     with pytest.raises(SystemExit, match="1"):
-        main(words)
+        main([*words, "--jobs=1"])
     said = capsys.readouterr()
     assert "no sample for train" in said.err
     assert "The same command again" in said.err
-    assert "0 of 1" in said.out
+    assert "1 of 2 runs are finished" in said.out
+
+
+def a_training(folder: Path, steps: int) -> Training:
+    names = ("trainer.yaml", "model/paper.yaml", "data/sample.yaml", "study/ablations.yaml")
+    arguments = [f"--trainer.max_steps={steps}", "--trainer.val_check_interval=2"]
+    small = ["--trainer.limit_val_batches=1", "--data.init_args.sample_every=4"]
+    return Training(folder, [Path("configs", name) for name in names], [*arguments, *small], 1)
+
+
+def child_in(folder: Path) -> int:
+    """The process that trains in a folder."""
+    for place in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            words = (place / "cmdline").read_text().split("\0")
+            # Those that read ahead are its children and have the same words.
+            father = int((place / "stat").read_text().rpartition(")")[2].split()[1])
+            if f"--trainer.logger.init_args.save_dir={folder}" in words and father == os.getpid():
+                return int(place.name)
+    raise AssertionError("no process trains")
+
+
+def test_weights_that_were_not_kept_are_missed(tmp_path: Path) -> None:
+    run = a_training(tmp_path / "run", 3)
+    with pytest.raises(UserError, match="kept the weights of step 2 of 3"):
+        run.run("fit")
+    assert json.loads((tmp_path / "run" / NOTE).read_text())["done"] == []
+
+
+def test_a_fit_that_is_terminated_is_not_done(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    run = a_training(folder, 5000)
+    with ThreadPoolExecutor(1) as pool:
+        waiting = pool.submit(run.run, "fit")
+        deadline = time.monotonic() + 120
+        while not (folder / "checkpoints" / "last.ckpt").exists():
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        # Meanwhile nobody else trains there.
+        with pytest.raises(UserError, match="by another process; wait for it"):
+            a_training(folder, 5000).run("fit")
+        os.kill(child_in(tmp_path), signal.SIGTERM)
+        with pytest.raises(UserError, match="terminated"):
+            waiting.result(timeout=60)
+    assert json.loads((folder / NOTE).read_text())["done"] == []
+
+
+def test_a_changed_config_is_another_training(tmp_path: Path) -> None:
+    config = tmp_path / "study.yaml"
+    config.write_text("trainer: {max_steps: 1}")
+    folder = tmp_path / "run"
+    with pytest.raises(UserError, match="failed"):
+        Training(folder, [config], [], 1).run("fit")
+    Training(folder, [config], [], 1)
+    config.write_text("trainer: {max_steps: 2}")
+    with pytest.raises(UserError, match="with other options or configs"):
+        Training(folder, [config], [], 1)
 
 
 @pytest.mark.parametrize(

@@ -271,7 +271,8 @@ def around(value: float) -> Ratio:
     [
         (around(0.05), around(0.5), "confirmed"),
         (around(0.9), around(0.95), "confirmed in part: it loses energy, but not to near 0"),
-        (around(1.0), around(1.0), "refuted"),
+        (around(1.0), around(1.0), "not decided"),
+        (around(0.9), Ratio((0.05, 0.9, 0.6)), "not decided"),
         (around(1.2), around(1.3), "refuted"),
         (around(0.02), around(2.0), f"refuted: {BOTH}"),
         (around(0.1), around(2.0), "refuted"),

@@ -76,9 +76,7 @@ def energy_verdict(share: Ratio, relative: Ratio) -> str:
         return "confirmed" if near < 0 else "confirmed in part: it loses energy, but not to near 0"
     if relative.side() > 0 and near < 0:
         return "refuted: it goes near 0, and with the global feature still more so"
-    if relative.side() > 0 or (relative.interval is not None and near > 0):
-        return "refuted"
-    return "not decided"
+    return "refuted" if relative.side() > 0 else "not decided"
 
 
 def _accuracy(group: Group, twin: str) -> str:
@@ -126,6 +124,6 @@ def rule() -> str:
         "field goes towards 0 is confirmed where a rollout without the global feature has less "
         f"kinetic energy than one with it and less than {NEAR_ZERO} times the truth's, and in "
         "part where it has less than one with it and more than that share of the truth's; it is "
-        "refuted where it has more than one with it, or more than that share and the two are "
-        "not told apart."
+        "refuted where it has more than one with it, and else not decided. Where a figure is not "
+        "finite there is no interval, and nothing is decided."
     )

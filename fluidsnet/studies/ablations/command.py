@@ -56,7 +56,7 @@ class AblationsOptions:
     Attributes:
         runs: scenes, each with its strides and seeds; those of docs/ablations.md by default.
         fit: more options of `fluidsnet fit` for all of them, such as
-            ["--trainer.max_steps=100"].
+            ["--trainer.max_steps=100"]; weights are kept every 100 steps.
         configs: the folder of the configs.
         jobs: trainings at once; on the CPU they share its cores. 1 where there is one GPU.
         output: folder for the runs, and for ablations.md, its CSV files and its pictures.
@@ -107,7 +107,7 @@ def _parser() -> Parser:
             "the global feature, on several scenes, time steps and seeds, and says what that makes "
             "of the paper's claims. It simulates the data that are missing. It may be interrupted: "
             "the same command goes on where it was. The whole study takes two cores some two "
-            "hours; a first try: fluidsnet ablations --fit [--trainer.max_steps=50] --runs "
+            "hours; a first try: fluidsnet ablations --fit [--trainer.max_steps=100] --runs "
             '\'[{"scene": "dam_break_small", "strides": [8], "seeds": [0]}]\' --output runs/try'
         ),
         AblationsOptions,
@@ -118,19 +118,19 @@ def _trainings(options: AblationsOptions) -> dict[TrainedRun, Training]:
     configs = Path(options.configs)
     found: dict[TrainedRun, Training] = {}
     for of in options.runs:
-        files = [*BEFORE, f"data/{of.scene}.yaml", *AFTER]
+        files = [configs / name for name in (*BEFORE, f"data/{of.scene}.yaml", *AFTER)]
         for seed in of.seeds:
             for stride in of.strides:
                 name = Path(of.scene, f"stride_{stride}", f"seed_{seed}")
                 run = TrainedRun(of.scene, stride, seed, Path(options.output) / name)
                 arguments = [
-                    *(f"--config={configs / name}" for name in files),
+                    *options.fit,
+                    # Last, as the run is named for them.
                     f"--seed_everything={seed}",
                     f"--data.init_args.stride={stride}",
-                    *options.fit,
                 ]
                 threads = max(1, cores() // options.jobs)
-                found[run] = Training(run.folder, arguments, threads)
+                found[run] = Training(run.folder, files, arguments, threads)
     return found
 
 

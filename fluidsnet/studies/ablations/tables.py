@@ -152,7 +152,10 @@ def cost_line(runs: Sequence[Numbers]) -> str:
             parts.append(f"{digits(median(ratios))} times as long {name} (of {len(ratios)} runs)")
     if not parts:
         return "No times of training steps were logged."
-    return f"Beside the model's, a training step takes, in the median, {' and '.join(parts)}."
+    return (
+        f"Beside the model's, a training step takes, in the median, {' and '.join(parts)}: on "
+        "each run's first batch, the models by turns, while other runs train."
+    )
 
 
 def _with_deviation(mean: float, deviation: float) -> str:

@@ -1,29 +1,38 @@
-"""One training of a study, in processes of its own: fit, then test, each once."""
+"""One training of the study, in processes of its own: fit, then test, each once."""
 
 from __future__ import annotations
 
+import fcntl
+import hashlib
 import json
 import os
 import subprocess
 import sys
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import final
+
+import torch
+import yaml
 
 from fluidsnet.errors import UserError
 
-#: What is to be run, and how long the stages that are done took, s.
+#: What is to be run, and which stages are done.
 NOTE = "study.json"
+_LOCK = "study.lock"
 
 
+@final
 class Training:
     """Trains and tests one composition of configs; what was done before is not done again.
 
-    A training that was interrupted goes on from its last checkpoint.
+    A training that was interrupted goes on from its last validation; its batches are drawn anew.
 
     Args:
         folder: of the run; its logs `fit.log` and `test.log` lie there.
-        arguments: of `fluidsnet fit`, beside what names the folder.
+        configs: files, in the order they are composed.
+        arguments: more of `fluidsnet fit`, beside what names the folder.
         threads: of each process.
 
     Raises:
@@ -32,50 +41,68 @@ class Training:
 
     STAGES = ("fit", "test")
 
-    def __init__(self, folder: Path, arguments: Sequence[str], threads: int) -> None:
-        self.folder, self.arguments, self.threads = folder, list(arguments), threads
+    def __init__(
+        self, folder: Path, configs: Sequence[Path], arguments: Sequence[str], threads: int
+    ) -> None:
+        self.folder, self.threads = folder, threads
+        self.arguments = [*(f"--config={config}" for config in configs), *arguments]
+        self._what = {
+            "arguments": self.arguments,
+            "configs": {
+                str(config): hashlib.sha256(config.read_bytes()).hexdigest() for config in configs
+            },
+        }
         self._note = folder / NOTE
+        self._done: list[str] = []
         if self._note.exists():
             known = json.loads(self._note.read_text())
-            if known["arguments"] != self.arguments:
+            if any(known[name] != value for name, value in self._what.items()):
                 raise UserError(
-                    f"{folder} was trained with other options; name another --output, or delete it."
+                    f"{folder} was trained with other options or configs; name another --output, "
+                    "or delete it."
                 )
-            self.seconds: dict[str, float] = known["seconds"]
-        else:
-            self.seconds = {}
+            self._done = known["done"]
 
     @property
     def done(self) -> bool:
         """All stages are."""
-        return all(stage in self.seconds for stage in self.STAGES)
+        return all(stage in self._done for stage in self.STAGES)
 
     def run(self, stage: str) -> None:
         """Runs a stage, unless it is done.
 
         Raises:
-            UserError: it ended badly; its last words say why.
+            UserError: it ended badly, and its last words say why; or another process runs it.
         """
-        if stage in self.seconds:
+        if stage in self._done:
             return
         self.folder.mkdir(parents=True, exist_ok=True)
-        self._keep()
-        begin = time.monotonic()
-        log = self.folder / f"{stage}.log"
-        with log.open("ab") as words:
-            ended = subprocess.run(
-                [sys.executable, "-m", "fluidsnet.main", *self._command(stage)],
-                stdout=words,
-                stderr=subprocess.STDOUT,
-                stdin=subprocess.DEVNULL,
-                env=self._environment(),
-                check=False,
-            )
-        if ended.returncode:
-            said = log.read_text(errors="replace").strip().splitlines()[-1:] or ["no words"]
-            raise UserError(f"{stage} of {self.folder} failed: {said[0]} ({log})")
-        self.seconds[stage] = time.monotonic() - begin
-        self._keep()
+        with self._alone() as lock:
+            self._keep()
+            log = self.folder / f"{stage}.log"
+            with log.open("wb") as words:
+                ended = subprocess.run(
+                    [sys.executable, "-m", "fluidsnet.main", *self._command(stage)],
+                    stdout=words,
+                    stderr=subprocess.STDOUT,
+                    stdin=subprocess.DEVNULL,
+                    env=self._environment(),
+                    # It holds the lock, too, should it outlive this process.
+                    pass_fds=[lock],
+                    check=False,
+                )
+            if ended.returncode < 0:
+                raise UserError(
+                    f"{stage} of {self.folder} was killed by signal {-ended.returncode}, as for "
+                    "lack of memory."
+                )
+            if ended.returncode:
+                said = log.read_text(errors="replace").strip().splitlines()[-1:] or ["no words"]
+                raise UserError(f"{stage} of {self.folder} failed: {said[0]} ({log})")
+            if stage == "fit":
+                self._check_checkpoint()
+            self._done.append(stage)
+            self._keep()
 
     def _command(self, stage: str) -> list[str]:
         if stage == "test":
@@ -89,8 +116,40 @@ class Training:
             f"{logger}.version=",
             "--trainer.enable_progress_bar=false",
         ]
-        last = self.folder / "checkpoints" / "last.ckpt"
+        last = self._checkpoint
         return [*words, f"--ckpt_path={last}"] if last.exists() else words
+
+    @property
+    def _checkpoint(self) -> Path:
+        return self.folder / "checkpoints" / "last.ckpt"
+
+    def _check_checkpoint(self) -> None:
+        """The last weights are what is tested."""
+        config = yaml.safe_load((self.folder / "config.yaml").read_text())
+        steps: int = config["trainer"]["max_steps"]
+        found = 0
+        if self._checkpoint.exists():
+            # Of this program's own making, and mapped: the weights are not read.
+            found = torch.load(self._checkpoint, mmap=True, weights_only=False)["global_step"]
+        if found < steps:
+            raise UserError(
+                f"fit of {self.folder} kept the weights of step {found} of {steps}: they are kept "
+                "at validations, so --trainer.max_steps must be a multiple of "
+                "--trainer.val_check_interval."
+            )
+
+    @contextmanager
+    def _alone(self) -> Iterator[int]:
+        """Holds the folder's lock, a file's descriptor."""
+        with (self.folder / _LOCK).open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise UserError(
+                    f"{self.folder} is being trained or tested by another process; wait for it, "
+                    "or end it."
+                ) from error
+            yield lock.fileno()
 
     def _environment(self) -> Mapping[str, str]:
         # Of both, or those of one wait for those of the other.
@@ -100,5 +159,5 @@ class Training:
     def _keep(self) -> None:
         """Writes the note; whole, or not at all."""
         partial = self._note.with_suffix(".partial")
-        partial.write_text(json.dumps({"arguments": self.arguments, "seconds": self.seconds}))
+        partial.write_text(json.dumps({**self._what, "done": self._done}, indent=2))
         partial.replace(self._note)
