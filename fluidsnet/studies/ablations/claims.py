@@ -71,12 +71,14 @@ def energy_verdict(share: Ratio, relative: Ratio) -> str:
         share: the rollouts' kinetic energy without it, over the truth's.
         relative: the same over that of the rollouts with it.
     """
-    near = share.side(NEAR_ZERO)
-    if relative.side() < 0 and near:
-        return "confirmed" if near < 0 else "confirmed in part: it loses energy, but not to near 0"
-    if relative.side() > 0 and near < 0:
-        return "refuted: it goes near 0, and with the global feature still more so"
-    return "refuted" if relative.side() > 0 else "not decided"
+    if share.side() > 0:
+        return "refuted: it gains energy"
+    if share.side() < 0 and relative.side() > 0:
+        return "refuted: it loses energy, and with the global feature more"
+    if share.side() < 0 and relative.side() < 0:
+        near = share.side(NEAR_ZERO) < 0
+        return "confirmed" if near else "confirmed in part: it loses energy, but not to near 0"
+    return "not decided"
 
 
 def _accuracy(group: Group, twin: str) -> str:
@@ -123,7 +125,7 @@ def rule() -> str:
         "Each interval stands by itself: one in twenty excludes 1 by chance. That the velocity "
         "field goes towards 0 is confirmed where a rollout without the global feature has less "
         f"kinetic energy than one with it and less than {NEAR_ZERO} times the truth's, and in "
-        "part where it has less than one with it and more than that share of the truth's; it is "
-        "refuted where it has more than one with it, and else not decided. Where a figure is not "
-        "finite there is no interval, and nothing is decided."
+        "part where it has less than one with it and less than the truth; it is refuted where it "
+        "has more than the truth, or less than the truth and more than one with it. Where a "
+        "figure is not finite there is no interval, and nothing is decided."
     )
