@@ -262,8 +262,10 @@ class RolloutMetrics(Callback, ChartSource):
             for predictor, of in scalars.items()
             for name, value in of.items()
         }
+        # In training Lightning logs what the module has measured a step earlier.
+        step = trainer.global_step - (trainer.state.fn == "fit")
         for logger in trainer.loggers:
-            logger.log_metrics(values, step=trainer.global_step)
+            logger.log_metrics(values, step=step)
 
 
 def _rows(longest: int) -> list[int]:
