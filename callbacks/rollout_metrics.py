@@ -36,10 +36,10 @@ class RolloutMetrics(Callback, ChartSource):
     for validation, or it measures the others.
 
     Models that an `Ablation` trains side by side are rolled out from the same starts, and the
-    figures of each are `ablation/rollout/<metric>/<steps>/<name>` as well.
+    figures of each are `ablation_rollout/<metric>/<steps>/<name>` as well.
 
     In `test` the same under `test_rollout/`, `test_rollout_predictors/` and
-    `ablation/test_rollout/`; `rollout_metrics.md` and `.csv` in the run's folder, a row a
+    `ablation_test_rollout/`; `rollout_metrics.md` and `.csv` in the run's folder, a row a
     predictor and number of steps; and `rollout_metrics.png`, the errors and energies against
     time, also in TensorBoard.
 
@@ -122,7 +122,7 @@ class RolloutMetrics(Callback, ChartSource):
             return {}
         steps = [step for step in CHARTED if self.steps is None or step <= self.steps]
         alone = len(module.models()) == 1
-        group = "rollout(_predictors)?" if alone else "(rollout_predictors|ablation/rollout)"
+        group = "rollout(_predictors)?" if alone else "(rollout_predictors|ablation_rollout)"
         tag = f"{group}/position_error_mm/{{}}(/|$)"
         return {
             "rollout": {
@@ -252,7 +252,7 @@ class RolloutMetrics(Callback, ChartSource):
         models = {name: scalars.pop(name) for name in module.models()}
         cls._log(trainer, f"{group}_predictors", scalars)
         if len(models) > 1:
-            cls._log(trainer, f"ablation/{group}", models)
+            cls._log(trainer, f"ablation_{group}", models)
 
     @staticmethod
     def _log(trainer: Trainer, group: str, scalars: dict[str, dict[str, float]]) -> None:

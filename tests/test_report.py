@@ -277,7 +277,7 @@ def test_several_runs_stand_side_by_side(runs: Path, tmp_path: Path) -> None:
     rolled = [figure for figure in ablation if "rollout" in figure]
     assert rolled == ["rollout/position_error_mm/3, last"]
     for column, who in enumerate(ablation["two"]):
-        last = curves[f"ablation/rollout/position_error_mm/3/{who}"][-1][1]
+        last = curves[f"ablation_rollout/position_error_mm/3/{who}"][-1][1]
         assert float(ablation[rolled[0]][column]) == last
     assert "rollout/position_error_mm/3, two and its twins" in page.text
     assert "two has the same data as one." in page.words

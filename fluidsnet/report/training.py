@@ -52,13 +52,10 @@ def ablation_section(runs: Sequence[Run]) -> Section:
     """Each model beside the twins that differ from it in one block."""
     section = Section("Ablations")
     for run in runs:
-        # Of the rollouts one figure; `rollout_metrics` has them all.
-        rolled = _rolled([run], f"{_ABLATION}{_ROLLED}", "/model")
-        found = [
-            tag
-            for tag in tags([run.history], _ABLATION)
-            if "rollout/" not in tag or tag.startswith(tuple(f"{each}/" for each in rolled))
-        ]
+        found = tags([run.history], _ABLATION)
+        # Of the many figures of the rollouts one; `rollout_metrics` has them all.
+        for each in _rolled([run], f"ablation_{_ROLLED}", "/model"):
+            found += tags([run.history], f"{each}/")
         if found:
             section.parts += _ablation(run, found)
         grid = run.tables.get("foreign_context")
@@ -141,7 +138,7 @@ def _ablation(run: Run, found: Sequence[str]) -> list[Part]:
     """Charts of each figure, and a table of the last values and the costs."""
     figures: dict[str, dict[str, Curve]] = {}
     for tag in found:
-        figure, _, who = tag.removeprefix(_ABLATION).rpartition("/")
+        figure, _, who = tag.removeprefix(_ABLATION).removeprefix("ablation_").rpartition("/")
         figures.setdefault(figure, {})[who] = run.history.curves[tag]
     # The model first, its twins by their names.
     everyone = {who for curves in figures.values() for who in curves}

@@ -234,8 +234,8 @@ def test_models_side_by_side_are_rolled_out_each(sample: Path, tmp_path: Path) -
     for group in ("rollout", "test_rollout"):
         for figure in ("position_error_mm/5", "chamfer_mm/5", "kinetic_energy/2"):
             mine = last(f"{group}/{figure}")
-            assert last(f"ablation/{group}/{figure}/model") == pytest.approx(mine)
-            twin = last(f"ablation/{group}/{figure}/acceleration")
+            assert last(f"ablation_{group}/{figure}/model") == pytest.approx(mine)
+            twin = last(f"ablation_{group}/{figure}/acceleration")
             assert np.isfinite(twin)
             assert twin != mine
     with (tmp_path / "run" / "rollout_metrics.csv").open() as file:
