@@ -27,6 +27,9 @@ CONFIGS = ROOT / "configs"
 # It logs to the stderr that there is when it is loaded, which must not be one test's own.
 assert lightning
 
+# One worker runs them all, and makes what they look at once.
+pytestmark = pytest.mark.xdist_group("report")
+
 VOID = {"meta", "img", "link", "br", "hr", "input"}
 
 

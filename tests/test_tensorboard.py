@@ -24,6 +24,9 @@ ROOT = Path(__file__).parents[1]
 # It logs to the stderr that there is when it is loaded, which must not be one test's own.
 assert lightning
 
+# One worker runs them all, and makes what they look at once.
+pytestmark = pytest.mark.xdist_group("tensorboard")
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -35,6 +35,9 @@ IN_PART = "confirmed in part: it loses energy, but not to near 0"
 # It logs to the stderr that there is when it is loaded, which must not be one test's own.
 assert lightning
 
+# One worker runs them all, and makes what they look at once.
+pytestmark = pytest.mark.xdist_group("ablations_report")
+
 Table = list[dict[str, str]]
 Copy = Callable[..., list[TrainedRun]]
 
