@@ -13,6 +13,7 @@ from callbacks.charts import Charts, ChartSource
 from callbacks.folder import run_folder
 from callbacks.rollout_curves import draw_curves
 from callbacks.rollout_metrics_table import write_rollout_metrics
+from callbacks.rollout_scalars import log_beside, log_scalars, logged_steps, scalars_of
 from fluidsnet.errors import UserError
 from fluidsnet.metrics.baselines import Baselines
 from fluidsnet.metrics.rollout_suite import Figures, RolloutSuite
@@ -20,8 +21,6 @@ from fluidsnet.module import FluidsNet
 from fluidsnet.particles import RolloutStarts
 from fluidsnet.rollout import rollout
 
-#: Numbers of steps that are logged and have a row, beside the last step.
-STEPS = (1, 2, 5, 10, 25, 50, 100)
 #: Those whose position error is drawn with the predictors' in one chart.
 CHARTED = (1, 10, 25)
 
@@ -150,31 +149,33 @@ class RolloutMetrics(Callback, ChartSource):
         self._validations += 1
         if trainer.state.fn == "fit" and self._validations % self.every_n_validations:
             return
+        assert isinstance(pl_module, FluidsNet)
         starts, figures = self._measure(trainer, pl_module, "val")
-        scalars = self._scalars(figures, max(starts.steps))
+        scalars = scalars_of(figures, max(starts.steps))
         mine = {f"rollout/{name}": value for name, value in scalars["model"].items()}
         # All processes have the same; their mean spares a warning.
         pl_module.log_dict(mine, sync_dist=True, batch_size=1)
-        self._log_others(trainer, pl_module, "rollout", scalars)
+        log_beside(trainer, pl_module, "rollout", scalars)
 
     def on_test_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Rolls out, logs, and writes the table and the figure."""
+        assert isinstance(pl_module, FluidsNet)
         starts, figures = self._measure(trainer, pl_module, "test")
         if not trainer.is_global_zero:
             return
         longest = max(starts.steps)
-        scalars = self._scalars(figures, longest)
-        self._log(trainer, "test_rollout", {"": scalars["model"]})
-        self._log_others(trainer, pl_module, "test_rollout", scalars)
+        scalars = scalars_of(figures, longest)
+        log_scalars(trainer, "test_rollout", {"": scalars["model"]})
+        log_beside(trainer, pl_module, "test_rollout", scalars)
         time_step: float = starts[0].state.scene.time_step
         path = self._folder / "rollout_metrics"
-        text = write_rollout_metrics(path, figures, starts, _rows(longest), time_step)
+        text = write_rollout_metrics(path, figures, starts, logged_steps(longest), time_step)
         draw_curves(path.with_suffix(".png"), figures, time_step, trainer.logger)
         print(f"\n{text}\n{path}.md\n{path}.png")
 
     @torch.no_grad()
     def _measure(
-        self, trainer: Trainer, module: Any, split: Literal["val", "test"]
+        self, trainer: Trainer, module: FluidsNet, split: Literal["val", "test"]
     ) -> tuple[RolloutStarts, Figures]:
         data: Any = trainer.datamodule  # type: ignore[attr-defined]
         starts: RolloutStarts = data.rollout_starts(
@@ -229,45 +230,3 @@ class RolloutMetrics(Callback, ChartSource):
             others = {} if known else {**baselines.after(step, true), "truth": true}
             suite.update(index, step, {**states, **others}, true, start.state)
             bar.update()
-
-    @staticmethod
-    def _scalars(figures: Figures, longest: int) -> dict[str, dict[str, float]]:
-        """By predictor, what is logged: a number for each metric and number of steps."""
-        return {
-            predictor: {
-                f"{name}/{step}": float(values[step - 1])
-                for name, values in of.items()
-                if name != "non_finite_step"
-                for step in _rows(longest)
-                if not values[step - 1].isnan()
-            }
-            for predictor, of in figures.items()
-        }
-
-    @classmethod
-    def _log_others(
-        cls, trainer: Trainer, module: Any, group: str, scalars: dict[str, dict[str, float]]
-    ) -> None:
-        """The predictors', and of models that train side by side each one's."""
-        models = {name: scalars.pop(name) for name in module.models()}
-        cls._log(trainer, f"{group}_predictors", scalars)
-        if len(models) > 1:
-            cls._log(trainer, f"ablation_{group}", models)
-
-    @staticmethod
-    def _log(trainer: Trainer, group: str, scalars: dict[str, dict[str, float]]) -> None:
-        """To the loggers alone: these are for looking at beside the model's."""
-        values = {
-            f"{group}/{name}/{predictor}".removesuffix("/"): value
-            for predictor, of in scalars.items()
-            for name, value in of.items()
-        }
-        # In training Lightning logs what the module has measured a step earlier.
-        step = trainer.global_step - (trainer.state.fn == "fit")
-        for logger in trainer.loggers:
-            logger.log_metrics(values, step=step)
-
-
-def _rows(longest: int) -> list[int]:
-    """Numbers of steps that are logged and have a row."""
-    return sorted({*(step for step in STEPS if step <= longest), longest})

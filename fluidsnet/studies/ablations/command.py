@@ -144,7 +144,7 @@ def _generate(configs: Path, scene: str) -> None:
 
 def _train(trainings: dict[TrainedRun, Training], options: AblationsOptions) -> list[str]:
     """Trains several at once, and reports after each; what failed is said at the end."""
-    left = {run: training for run, training in trainings.items() if not training.done}
+    left = [training for training in trainings.values() if not training.done]
     failures: list[str] = []
     stages = len(Training.STAGES)
     bar = tqdm(total=stages * len(trainings), desc="training and testing", unit="stage")
@@ -157,7 +157,7 @@ def _train(trainings: dict[TrainedRun, Training], options: AblationsOptions) -> 
 
     pool = ThreadPoolExecutor(options.jobs)
     try:
-        waiting = {pool.submit(both, training): run for run, training in left.items()}
+        waiting = [pool.submit(both, training) for training in left]
         for ended in as_completed(waiting):
             error = ended.exception()
             if isinstance(error, UserError):
