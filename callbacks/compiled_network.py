@@ -14,7 +14,8 @@ class CompiledNetwork(Callback):
 
     ``fluidsnet predict --run FOLDER --trainer.callbacks+=CompiledNetwork``. The first steps take
     a minute longer. Checkpoints are the same with and without it. It needs a C++ compiler on
-    the CPU. What `docs/speed.md` measured says where it pays.
+    the CPU. Twins of an `Ablation` are compiled, too, if that comes before it. What
+    `docs/speed.md` measured says where it pays.
     """
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:

@@ -21,11 +21,12 @@ from fluidsnet.particles import Particles, Transitions
 class ForeignContext(Callback):
     """In ``test``, also predicts each frame with the global feature of another one.
 
-    The other frame is half the test split further on, counted around, so that each test takes the
-    same ones. It logs ``foreign_context/<figure>/own`` and ``/foreign`` for `velocity_mse` and
-    `skill`, and ``foreign_context/ratio``, the foreign `velocity_mse` over its own: 1 where the
-    network does not use the feature, and greater the more it relies on it. The same goes to
-    ``foreign_context.md`` and ``foreign_context.csv`` in the run's folder.
+    Which one is drawn at random with a fixed seed, so that each test takes the same ones: each
+    frame's feature is given to one other, of any simulation and time. It logs
+    ``foreign_context/<figure>/own`` and ``/foreign`` for `velocity_mse` and `skill`, and
+    ``foreign_context/ratio``, the foreign `velocity_mse` over its own: 1 where the network does not
+    use the feature, and greater the more it relies on it. The same goes to ``foreign_context.md``
+    and ``foreign_context.csv`` in the run's folder.
 
     Only a context that is one vector a frame (`GlobalVector`) can be taken from another frame,
     whose particles are others and of another number.
@@ -62,6 +63,7 @@ class ForeignContext(Callback):
             return
         self._loader: DataLoader[Any] = loader
         self._rows: list[list[int]] = list(loader.batch_sampler)
+        self._others = _others(len(loader.dataset))
         self._errors = {name: OneStepErrors().to(pl_module.device) for name in ("own", "foreign")}
 
     def on_test_batch_end(
@@ -78,8 +80,7 @@ class ForeignContext(Callback):
             return
         assert isinstance(pl_module, FluidsNet)
         dataset = self._loader.dataset
-        number = len(dataset)  # type: ignore[arg-type]
-        others = [dataset[(row + number // 2) % number] for row in self._rows[batch_idx]]
+        others = [dataset[self._others[row]] for row in self._rows[batch_idx]]
         foreign = self._loader.collate_fn(others).state.to(pl_module.device)
         for name, source in (("own", batch.state), ("foreign", foreign)):
             vectors = _vectors(pl_module, source)
@@ -109,6 +110,14 @@ class ForeignContext(Callback):
             ]
             path = self._folder / "foreign_context"
             print(f"\n{write_table(path, self._header, rows)}\n{path}.md")
+
+
+def _others(frames: int) -> list[int]:
+    """For each frame another; each is the other of one: a single cycle through all."""
+    order = torch.randperm(frames, generator=torch.Generator().manual_seed(0))
+    others = torch.empty_like(order)
+    others[order] = order.roll(-1)
+    return others.tolist()
 
 
 def _vectors(model: FluidsNet, state: Particles) -> Tensor:

@@ -10,7 +10,7 @@ from typing import Any
 from lightning import Callback, LightningModule, Trainer
 from lightning.pytorch.loggers import TensorBoardLogger
 from tensorboard.compat.proto.summary_pb2 import Summary, SummaryMetadata
-from tensorboard.plugins.hparams.api_pb2 import STATUS_FAILURE, STATUS_SUCCESS
+from tensorboard.plugins.hparams.api_pb2 import STATUS_SUCCESS
 from tensorboard.plugins.hparams.metadata import (
     PLUGIN_DATA_VERSION,
     PLUGIN_NAME,
@@ -36,6 +36,8 @@ class HyperParameters(Callback):
     They are written when training starts; TensorBoard then shows the latest value of each metric,
     also of a later ``test`` of the run, and nothing for one that is not logged. The logger needs
     ``default_hp_metric: false``, or Lightning writes others first, and TensorBoard reads the first.
+    For the same reason a training that is resumed in its folder keeps its row, and one that is
+    begun anew in the folder of another shows the settings of that: give it a folder of its own.
 
     Args:
         metrics: tags of scalars.
@@ -73,15 +75,8 @@ class HyperParameters(Callback):
         self._write(trainer, experiment, start)
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Notes that training went to its end."""
-        self._write(trainer, _ended(STATUS_SUCCESS))
-
-    def on_exception(
-        self, trainer: Trainer, pl_module: LightningModule, exception: BaseException
-    ) -> None:
-        """Notes that it did not."""
-        if trainer.state.fn == "fit":
-            self._write(trainer, _ended(STATUS_FAILURE))
+        """Notes that training went to its end; one that did not may be resumed, and still do."""
+        self._write(trainer, _succeeded())
 
     @staticmethod
     def _write(trainer: Trainer, *summaries: Any) -> None:
@@ -125,9 +120,9 @@ def hyperparameters(trainer: Trainer, module: FluidsNet) -> dict[str, Plain]:
     return found
 
 
-def _ended(status: int) -> Any:
-    """What says how a run ended; TensorBoard's own function for it needs TensorFlow."""
-    end = SessionEndInfo(status=status, end_time_secs=time.time())
+def _succeeded() -> Any:
+    """What says that a run did; TensorBoard's own function for it needs TensorFlow."""
+    end = SessionEndInfo(status=STATUS_SUCCESS, end_time_secs=time.time())
     content = HParamsPluginData(version=PLUGIN_DATA_VERSION, session_end_info=end)
     plugin = SummaryMetadata.PluginData(
         plugin_name=PLUGIN_NAME, content=content.SerializeToString()

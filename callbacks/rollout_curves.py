@@ -49,7 +49,9 @@ _PANELS: tuple[_Panel, ...] = (
 )
 
 
-def draw_curves(path: Path, figures: Figures, time_step: float, logger: Any) -> None:
+def draw_curves(
+    path: Path, figures: Figures, time_step: float, loggers: Sequence[Any], group: str
+) -> None:
     """Draws error, energy and center of mass against time to a PNG file and to TensorBoard.
 
     What is not finite has no line; the title of its panel says from when on.
@@ -58,19 +60,21 @@ def draw_curves(path: Path, figures: Figures, time_step: float, logger: Any) -> 
         path: of the picture.
         figures: of the rollouts.
         time_step: s.
-        logger: the trainer's; TensorBoard's gets the picture.
+        loggers: the trainer's; TensorBoard's get the panels.
+        group: of their tags there.
     """
     figure = Figure(figsize=(15, 4.2), dpi=100, layout="constrained")
     for axes, panel in zip(figure.subplots(1, len(_PANELS)), _PANELS, strict=True):
         _draw(axes, panel, figures, time_step)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path)
-    if isinstance(logger, TensorBoardLogger):
-        # Each by itself: TensorBoard shows pictures small.
-        for panel in _PANELS:
-            alone = Figure(figsize=(5.4, 4.2), dpi=100, layout="constrained")
-            _draw(alone.subplots(), panel, figures, time_step)
-            logger.experiment.add_figure(f"test_rollout/{panel[0]}", alone, close=False)
+    for logger in loggers:
+        if isinstance(logger, TensorBoardLogger):
+            # Each by itself: TensorBoard shows pictures small.
+            for panel in _PANELS:
+                alone = Figure(figsize=(5.4, 4.2), dpi=100, layout="constrained")
+                _draw(alone.subplots(), panel, figures, time_step)
+                logger.experiment.add_figure(f"{group}/{panel[0]}", alone, close=False)
 
 
 def _draw(axes: Axes, panel: _Panel, figures: Figures, time_step: float) -> None:

@@ -21,14 +21,14 @@ Floats = NDArray[np.float32]
 class RolloutMesh(FirstRollout):
     """After ``predict``, shows the first rollout and its truth in TensorBoard's tab "Mesh".
 
-    Particles are points, colored by their speed from blue to white (paper, figure 12), in a
-    domain of grey points. The truth is on the left and the prediction on the right of one scene,
-    `rollout_3d/truth_and_prediction`, so that they turn together; its step is the number of the
-    rollout's. The text `rollout_3d/legend` says what is seen. It reads the files of
-    `TrajectoryWriter`, which must come before it.
+    Particles are points, colored by their speed from blue to white (paper, figure 12) on the
+    truth's scale, in a domain of gray points. The truth is on the left and the prediction on the
+    right of one scene, `rollout_3d/truth_and_prediction`, so that they turn together; its step is
+    the number of the rollout's. The text `rollout_3d/legend` says what is seen. It reads the files
+    of `TrajectoryWriter`, which must come before it.
 
     Args:
-        times: how many states are shown, spread evenly over the truth. TensorBoard shows ten
+        times: how many states are shown, spread evenly over what both have. TensorBoard shows ten
             unless it is told otherwise (``--samples_per_plugin meshes=100``).
         particles: the most that are shown of a state, drawn with a fixed seed, the same in all.
 
@@ -61,7 +61,7 @@ class RolloutMesh(FirstRollout):
             position, data = read_frame(rollout_file(self.folder, start.name), step)
             states["prediction", step] = position[shown], data["velocity"][shown]
         speeds = {key: np.linalg.norm(velocity, axis=1) for key, (_, velocity) in states.items()}
-        top = speed_scale(list(speeds.values()))
+        top = speed_scale([speeds["truth", step] for step in steps])
         stage = Stage(scene)
         lost = {"truth": 0, "prediction": 0}
         for step in steps:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any, Literal
 
@@ -46,6 +47,9 @@ class RolloutMetrics(Callback, ChartSource):
     steps fewer simulations may be left, and the table says how many. One that turns
     non-finite counts as infinite from there on, and the table names it and the step.
 
+    Several measure apart, such as from rest and in motion, if each but one has a name: the groups
+    are then `rollout_<name>`, `test_rollout_<name>` and so on, the files `rollout_metrics_<name>`.
+
     Example::
 
         callbacks:
@@ -64,6 +68,7 @@ class RolloutMetrics(Callback, ChartSource):
         every_n_validations: in training, how often one rolls out; 0 for none in any.
         costly_steps: after which chamfer, sinkhorn and density are taken, and after the last
             step too. At these of 100 steps all metrics cost less than the rollout itself.
+        name: where there are several: lower-case letters, digits and ``_``; "" for none.
 
     Raises:
         UserError: an argument cannot be used.
@@ -76,14 +81,17 @@ class RolloutMetrics(Callback, ChartSource):
         simulations: int | None = 2,
         every_n_validations: int = 10,
         costly_steps: Sequence[int] = (25, 50, 100),
+        name: str = "",
     ) -> None:
-        for name, value, least in (
+        for argument, value, least in (
             ("steps", 1 if steps is None else steps, 1),
             ("simulations", 1 if simulations is None else simulations, 1),
             ("every_n_validations", every_n_validations, 0),
         ):
             if value < least:
-                raise UserError(f"RolloutMetrics: {name} is {value}; it must be at least {least}.")
+                raise UserError(
+                    f"RolloutMetrics: {argument} is {value}; it must be at least {least}."
+                )
         if not starts or not all(s >= 0 if isinstance(s, int) else 0 <= s < 1 for s in starts):
             raise UserError(
                 f"RolloutMetrics: starts is {list(starts)}; whole numbers are frames, fractions "
@@ -93,10 +101,21 @@ class RolloutMetrics(Callback, ChartSource):
             raise UserError(
                 f"RolloutMetrics: costly_steps is {list(costly_steps)}; the first step is 1."
             )
+        if not re.fullmatch("([a-z][a-z0-9_]*)?", name) or name.endswith("predictors"):
+            raise UserError(
+                f"RolloutMetrics: the name {name!r} is taken or has other signs than lower-case "
+                "letters, digits and _; choose another."
+            )
+        self.name = name
         self.steps, self.starts, self.simulations = steps, starts, simulations
         self.every_n_validations, self.costly_steps = every_n_validations, costly_steps
         self._validations = 0
         self._suite: RolloutSuite | None = None
+
+    @property
+    def state_key(self) -> str:
+        """Of several, each has its own state in a checkpoint."""
+        return self._named(type(self).__qualname__)
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
         """Checks who is rolled out, and forgets what an earlier run measured.
@@ -120,11 +139,14 @@ class RolloutMetrics(Callback, ChartSource):
         if not self.every_n_validations:
             return {}
         steps = [step for step in CHARTED if self.steps is None or step <= self.steps]
+        rollout = self._named("rollout")
         alone = len(module.models()) == 1
-        group = "rollout(_predictors)?" if alone else "(rollout_predictors|ablation_rollout)"
+        group = (
+            f"{rollout}(_predictors)?" if alone else f"({rollout}_predictors|ablation_{rollout})"
+        )
         tag = f"{group}/position_error_mm/{{}}(/|$)"
         return {
-            "rollout": {
+            rollout: {
                 f"position error after {step} steps, mm": [tag.format(step)] for step in steps
             }
         }
@@ -152,10 +174,11 @@ class RolloutMetrics(Callback, ChartSource):
         assert isinstance(pl_module, FluidsNet)
         starts, figures = self._measure(trainer, pl_module, "val")
         scalars = scalars_of(figures, max(starts.steps))
-        mine = {f"rollout/{name}": value for name, value in scalars["model"].items()}
+        group = self._named("rollout")
+        mine = {f"{group}/{name}": value for name, value in scalars["model"].items()}
         # All processes have the same; their mean spares a warning.
         pl_module.log_dict(mine, sync_dist=True, batch_size=1)
-        log_beside(trainer, pl_module, "rollout", scalars)
+        log_beside(trainer, pl_module, group, scalars)
 
     def on_test_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Rolls out, logs, and writes the table and the figure."""
@@ -165,13 +188,17 @@ class RolloutMetrics(Callback, ChartSource):
             return
         longest = max(starts.steps)
         scalars = scalars_of(figures, longest)
-        log_scalars(trainer, "test_rollout", {"": scalars["model"]})
-        log_beside(trainer, pl_module, "test_rollout", scalars)
+        group = self._named("test_rollout")
+        log_scalars(trainer, group, {"": scalars["model"]})
+        log_beside(trainer, pl_module, group, scalars)
         time_step: float = starts[0].state.scene.time_step
-        path = self._folder / "rollout_metrics"
+        path = self._folder / self._named("rollout_metrics")
         text = write_rollout_metrics(path, figures, starts, logged_steps(longest), time_step)
-        draw_curves(path.with_suffix(".png"), figures, time_step, trainer.logger)
+        draw_curves(path.with_suffix(".png"), figures, time_step, trainer.loggers, group)
         print(f"\n{text}\n{path}.md\n{path}.png")
+
+    def _named(self, words: str) -> str:
+        return f"{words}_{self.name}" if self.name else words
 
     @torch.no_grad()
     def _measure(

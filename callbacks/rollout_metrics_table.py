@@ -57,7 +57,7 @@ def write_rollout_metrics(
     lines = write_table(path, header, rows).splitlines()
     models = [predictor for predictor in figures if predictor not in BESIDE]
     broken = _broken(figures, starts, models)
-    with path.with_suffix(".md").open("a") as file:
+    with path.with_suffix(".md").open("a", encoding="utf-8") as file:
         file.writelines(f"\n{line}\n" for line in broken)
     return "\n".join([*lines[: 2 + len(steps) * len(models)], *broken])
 

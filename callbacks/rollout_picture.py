@@ -11,23 +11,33 @@ from lightning.pytorch.loggers import TensorBoardLogger
 
 from callbacks.first_rollout import FirstRollout
 from callbacks.folder import rollout_file
+from fluidsnet.errors import UserError
 from fluidsnet.export.render import Panel, side_by_side
+from fluidsnet.export.speed_colors import speed_scale
 from fluidsnet.export.vtkhdf import read_frame
 
 
 class RolloutPicture(FirstRollout):
     """After ``predict``, draws the first rollout beside its truth as ``rollout.png``.
 
-    Particles are colored by their speed, from blue to white (paper, figure 12). The picture
-    also goes to TensorBoard. It reads the files of `TrajectoryWriter`, which must come before it.
+    Particles are colored by their speed, from blue to white (paper, figure 12), on the truth's
+    scale. The picture also goes to TensorBoard. It reads the files of `TrajectoryWriter`, which
+    must come before it.
 
     Args:
-        times: where the rows of the picture are, as shares of the truth's length.
+        times: where the rows of the picture are, as shares of what both the rollout and the truth
+            have.
+
+    Raises:
+        UserError: there are no times, or one is no share.
     """
 
     def __init__(self, times: Sequence[float] = (0.25, 0.5, 1.0)) -> None:
-        if not all(0 <= time <= 1 for time in times):
-            raise ValueError(f"times are shares from 0 to 1, not {times}")
+        if not times or not all(0 <= time <= 1 for time in times):
+            raise UserError(
+                f"RolloutPicture: times is {list(times)}; they are shares from 0 to 1, and there "
+                "must be one."
+            )
         self.times = times
 
     def on_predict_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
@@ -53,11 +63,13 @@ class RolloutPicture(FirstRollout):
             scene.domain_lower.tolist(),
             scene.domain_upper.tolist(),
             scene.particle_radius,
+            # The first of each row is the truth's.
+            speed_max=speed_scale([panel.speed for panel in panels[::2]]),
         )
-        if isinstance(trainer.logger, TensorBoardLogger):
-            trainer.logger.experiment.add_image(
-                "rollout/side_by_side", matplotlib.image.imread(path)[..., :3], dataformats="HWC"
-            )
+        pixels = matplotlib.image.imread(path)[..., :3]
+        for logger in trainer.loggers:
+            if isinstance(logger, TensorBoardLogger):
+                logger.experiment.add_image("rollout/side_by_side", pixels, dataformats="HWC")
         print(f"\n{path}")
 
 

@@ -8,7 +8,7 @@ from fluidsnet.metrics.rollout_suite import Figures
 from fluidsnet.module import FluidsNet
 
 #: Numbers of steps that are logged and have a row, beside the last step.
-STEPS = (1, 2, 5, 10, 25, 50, 100)
+STEPS = (1, 2, 5, 10, 25, 50, 100, 200, 500, 1000, 2000, 5000)
 
 #: By predictor, by metric and number of steps.
 Scalars = dict[str, dict[str, float]]
@@ -57,7 +57,9 @@ def log_scalars(trainer: Trainer, group: str, scalars: Scalars) -> None:
         for predictor, of in scalars.items()
         for name, value in of.items()
     }
-    # In training Lightning logs what the module has measured a step earlier.
-    step = trainer.global_step - (trainer.state.fn == "fit")
+    # In training, the step that Lightning logs the module's own figures at.
+    step = trainer.global_step
+    if trainer.state.fn == "fit":
+        step = trainer.fit_loop.epoch_loop._batches_that_stepped
     for logger in trainer.loggers:
         logger.log_metrics(values, step=step)

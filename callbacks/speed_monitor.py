@@ -32,10 +32,10 @@ class SpeedMonitor(Callback):
     ===========================  ==================================================================
 
     Within an interval it reads the host's clock twice a batch and adds up numbers that the host
-    knows. At its end it searches once more, and on CUDA it waits for the device, there and before
-    a validation, and nowhere else. Since a GPU works on while the host waits for data,
-    `network_seconds` is the least it may be there. Of several processes the first one's times are
-    logged, and `particles_per_second` as if the others had as many particles.
+    knows. At its end it searches once more, and on CUDA it waits for the device, there, after the
+    first step and before a validation, and nowhere else. Since a GPU works on while the host waits
+    for data, `network_seconds` is the least it may be there. Of several processes the first one's
+    times are logged, and `particles_per_second` as if the others had as many particles.
     """
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:

@@ -22,7 +22,7 @@ def write_table(path: Path, header: Sequence[str], rows: Sequence[Sequence[Cell]
     """
     write_csv(path.with_suffix(".csv"), header, rows)
     text = markdown(header, rows)
-    path.with_suffix(".md").write_text(text)
+    path.with_suffix(".md").write_text(text, encoding="utf-8")
     return text
 
 
@@ -35,7 +35,7 @@ def write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[Cell]])
         rows: as many cells each.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="") as file:
+    with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(header)
         writer.writerows(rows)

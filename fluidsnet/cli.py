@@ -6,6 +6,7 @@ from argparse import SUPPRESS
 from typing import NoReturn
 
 from lightning import Trainer
+from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI, SaveConfigCallback
 from lightning.pytorch.core import LightningModule
 
@@ -67,6 +68,13 @@ def run(arguments: list[str]) -> None:
     """
     try:
         _run(arguments)
+    except MisconfigurationException as error:
+        raise UserError(str(error)) from error
+    except RuntimeError as error:
+        if "more than one stateful callback" not in str(error):
+            raise
+        # Which one, is in the first sentence.
+        raise UserError(f"{str(error).partition('. ')[0]}: give each a name of its own.") from error
     except ValueError as error:
         # A block that refuses its arguments does so inside the parser, which wraps it.
         ours = _ours(error)

@@ -7,6 +7,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 
 from fluidsnet.errors import UserError
@@ -165,6 +166,7 @@ def _with_run(arguments: list[str]) -> list[str]:
     for path in (config, checkpoint):
         if not path.exists():
             raise UserError(f"{folder} is not the folder of a run: {path} is missing.")
+    _keep_metrics(Path(folder))
     # What the command leaves goes to the run's own folder.
     logger = "--trainer.logger.init_args"
     here = Path(folder).resolve()
@@ -177,6 +179,15 @@ def _with_run(arguments: list[str]) -> list[str]:
         f"{logger}.version=",
         *rest[1:],
     ]
+
+
+def _keep_metrics(folder: Path) -> None:
+    """Renames the metrics of a CSVLogger, which deletes those that it finds in its folder."""
+    metrics = folder / "metrics.csv"
+    # Of several processes, those that others have started come later.
+    if metrics.exists() and os.environ.get("LOCAL_RANK", "0") == "0":
+        others = (folder / f"metrics_{number}.csv" for number in count(1))
+        metrics.rename(next(other for other in others if not other.exists()))
 
 
 if __name__ == "__main__":

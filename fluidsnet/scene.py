@@ -1,4 +1,4 @@
-"""Scene: what of the world around the particles is modelled."""
+"""Scene: what of the world around the particles is modeled."""
 
 from __future__ import annotations
 

@@ -317,6 +317,10 @@ def test_the_rollout_file_holds_the_start_the_truths_error_and_each_step(
         (["fit", f"--config={CONFIGS / 'ablation' / 'target.yaml'}", f"--config={SAMPLE}",
           "--trainer.callbacks+=callbacks.Ablation", "--trainer.callbacks.block=targets",
           "--trainer.callbacks.name=other"], "there is no block 'targets'"),
+        (["fit", f"--config={TRAINER}", f"--config={PAPER}", f"--config={SAMPLE}",
+          "--trainer.callbacks+=callbacks.RolloutMetrics"], "give each a name of its own"),
+        (["fit", f"--config={TRAINER}", f"--config={PAPER}", f"--config={SAMPLE}",
+          "--trainer.logger=false"], "that has no logger"),
         (["test", "--run=/nowhere"], "/nowhere is not the folder of a run"),
         (["test", "--run"], "--run needs the folder"),
         (["fit", "--run=/nowhere"], "fit takes --config"),
@@ -340,9 +344,20 @@ def test_bad_input_is_one_sentence_and_a_status(
 
 
 def _elsewhere(arguments: list[str], folder: Path) -> list[str]:
-    if any("trainer.yaml" in argument for argument in arguments):
+    logs = "--trainer.logger=false" not in arguments
+    if logs and any("trainer.yaml" in argument for argument in arguments):
         return [f"--trainer.logger.init_args.save_dir={folder}"]
     return []
+
+
+def test_the_metrics_of_a_csv_logger_are_kept(run: Run, tmp_path: Path) -> None:
+    run("fit", TRAINER, PAPER, SAMPLE, more=("--trainer.logger=CSVLogger",))
+    trained = (tmp_path / "run" / "metrics.csv").read_text()
+    assert "val/skill" in trained
+    for number in (1, 2):
+        main(["validate", f"--run={tmp_path / 'run'}", "--trainer.enable_progress_bar=false"])
+        assert (tmp_path / "run" / "metrics_1.csv").read_text() == trained
+        assert (tmp_path / "run" / f"metrics_{number}.csv").exists()
 
 
 def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:

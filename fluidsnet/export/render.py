@@ -117,7 +117,7 @@ def side_by_side(
     bar.tick_params(colors=_TEXT, labelsize=10, length=3)
     drawing = BytesIO()
     figure.savefig(drawing, dpi=_DPI, facecolor=_BACKGROUND, pil_kwargs={"compress_level": 0})
-    # Blues and greys alone: 256 colors look the same and take a third of the bytes.
+    # Blues and grays alone: 256 colors look the same and take a third of the bytes.
     picture = Image.open(drawing).convert("RGB")
     picture = picture.quantize(palette=picture.quantize(256), dither=Image.Dither.FLOYDSTEINBERG)
     picture.save(path, format="PNG", optimize=True)

@@ -28,15 +28,15 @@ class BatchNorm(nn.BatchNorm1d):
         super().__init__(width)
 
     def forward(self, rows: Tensor) -> Tensor:
-        """The rows (N, width), normalised."""
+        """The rows (N, width), normalized."""
         if self.training and processes() > 1:
             return self._shared(rows)
         if self.training and len(rows) < 2:
             return nn.functional.batch_norm(
                 rows, self.running_mean, self.running_var, self.weight, self.bias, eps=self.eps
             )
-        normalised: Tensor = super().forward(rows)
-        return normalised
+        normalized: Tensor = super().forward(rows)
+        return normalized
 
     def _shared(self, rows: Tensor) -> Tensor:
         assert self.running_mean is not None and self.running_var is not None

@@ -9,6 +9,7 @@ import torch
 from lightning import Trainer
 
 from callbacks import ForeignContext
+from callbacks.foreign_context import _others
 from datamodules import SPHDataModule
 from fluidsnet import FluidsNet
 from fluidsnet.features import NoContext
@@ -55,7 +56,17 @@ def test_the_ratio_says_whether_the_vector_is_used(
     assert float(rows[2][3]) == pytest.approx(ratio)
 
 
-def test_the_other_frame_is_half_the_split_away(source: SPHDataModule, tmp_path: Path) -> None:
+@pytest.mark.parametrize("frames", [2, 3, 100])
+def test_each_frame_gets_anothers_and_gives_its_own_once(frames: int) -> None:
+    others = _others(frames)
+    assert sorted(others) == list(range(frames))
+    assert all(row != other for row, other in enumerate(others))
+    assert others == _others(frames)
+
+
+def test_the_foreign_vector_is_that_of_the_other_frame(
+    source: SPHDataModule, tmp_path: Path
+) -> None:
     torch.manual_seed(0)
     model = FluidsNet(source.cells)
     found = measure(model, source, tmp_path)
@@ -64,7 +75,7 @@ def test_the_other_frame_is_half_the_split_away(source: SPHDataModule, tmp_path:
     errors = []
     with torch.no_grad():
         for row in range(4):
-            own, other = dataset[row], dataset[(row + 2) % 4]
+            own, other = dataset[row], dataset[_others(4)[row]]
             network = model.network
             vector = network.context(other.state, network.features(other.state))[:1]
             state = model(own.state, vector.expand(len(own.state), -1))

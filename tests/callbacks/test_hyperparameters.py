@@ -1,4 +1,4 @@
-"""How a training ended, as TensorBoard's tab HParams has it."""
+"""A training that was broken off and goes on, as TensorBoard's tab HParams has it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from lightning import Callback, Trainer
 from lightning.pytorch.loggers import TensorBoardLogger
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from tensorboard.plugins.hparams.api_pb2 import STATUS_FAILURE
+from tensorboard.plugins.hparams.api_pb2 import STATUS_SUCCESS
 from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
 from callbacks import HyperParameters
@@ -25,30 +25,43 @@ class Breaks(Callback):
         raise RuntimeError("the lights went out")
 
 
-def test_a_training_that_broke_is_marked(sample: Path, tmp_path: Path) -> None:
-    source = SPHDataModule(sample, voxel_size=0.25)
-    runner = Trainer(
-        accelerator="cpu",
-        devices=1,
-        max_epochs=1,
-        limit_train_batches=1,
-        limit_val_batches=1,
-        num_sanity_val_steps=0,
-        logger=TensorBoardLogger(tmp_path, name="run", version="", default_hp_metric=False),
-        enable_checkpointing=False,
-        enable_progress_bar=False,
-        enable_model_summary=False,
-        callbacks=[HyperParameters(metrics=["val/skill"]), Breaks()],
-    )
+def plugin(folder: Path) -> dict[str, HParamsPluginData]:
+    found = EventAccumulator(str(folder / "run")).Reload().PluginTagToContent("hparams")
+    return {tag: HParamsPluginData.FromString(content) for tag, content in found.items()}
+
+
+def test_a_training_that_broke_may_still_succeed(sample: Path, tmp_path: Path) -> None:
+    def fit(*more: Callback) -> None:
+        source = SPHDataModule(sample, voxel_size=0.25)
+        logger = TensorBoardLogger(tmp_path, name="run", version="", default_hp_metric=False)
+        runner = Trainer(
+            accelerator="cpu",
+            devices=1,
+            max_epochs=1,
+            limit_train_batches=1,
+            limit_val_batches=1,
+            num_sanity_val_steps=0,
+            logger=logger,
+            enable_checkpointing=False,
+            enable_progress_bar=False,
+            enable_model_summary=False,
+            callbacks=[HyperParameters(metrics=["val/skill"]), *more],
+        )
+        try:
+            runner.fit(FluidsNet(source.cells, context=NoContext), source)
+        finally:
+            source.teardown("fit")
+            logger.experiment.flush()
+
     with pytest.raises(RuntimeError, match="lights"):
-        runner.fit(FluidsNet(source.cells, context=NoContext), source)
-    source.teardown("fit")
-    runner.loggers[0].experiment.flush()  # type: ignore[attr-defined]
-    found = EventAccumulator(str(tmp_path / "run")).Reload().PluginTagToContent("hparams")
-    plugin = {tag: HParamsPluginData.FromString(content) for tag, content in found.items()}
-    end = plugin["_hparams_/session_end_info"].session_end_info
-    assert end.status == STATUS_FAILURE
-    start = plugin["_hparams_/session_start_info"].session_start_info.hparams
+        fit(Breaks())
+    # TensorBoard would keep what is said first.
+    found = plugin(tmp_path)
+    assert "_hparams_/session_end_info" not in found
+    start = found["_hparams_/session_start_info"].session_start_info.hparams
     assert start["block/context"].string_value == "NoContext"
-    (metric,) = plugin["_hparams_/experiment"].experiment.metric_infos
+    (metric,) = found["_hparams_/experiment"].experiment.metric_infos
     assert metric.name.tag == "val/skill"
+    fit()
+    end = plugin(tmp_path)["_hparams_/session_end_info"].session_end_info
+    assert end.status == STATUS_SUCCESS

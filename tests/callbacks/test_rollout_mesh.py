@@ -20,7 +20,8 @@ from fluidsnet.errors import UserError
 from fluidsnet.features import NoContext
 from fluidsnet.integrator import Integrator
 from fluidsnet.particles import Particles
-from fluidsnet.target import Motion
+from fluidsnet.statistics import Statistics
+from fluidsnet.target import Motion, Target, VelocityTarget
 
 TAG = "rollout_3d/truth_and_prediction"
 
@@ -32,6 +33,30 @@ class LosesTwo(Integrator):
         moved = torch.zeros_like(particles.position)
         moved[0], moved[1, 1] = 1000.0, torch.nan
         return moved
+
+
+class Stays(Integrator):
+    """Moves nothing."""
+
+    def displacement(self, particles: Particles, motion: Motion) -> torch.Tensor:
+        return torch.zeros_like(particles.position)
+
+
+class Fast(Target):
+    """A kilometer a second, whatever the network says."""
+
+    width = 3
+
+    def set_statistics(self, statistics: Statistics) -> None:
+        pass
+
+    def decode(self, output: torch.Tensor, particles: Particles) -> Motion:
+        return Motion(torch.full_like(output, 1000.0))
+
+    def encode(
+        self, particles: Particles, position: torch.Tensor, velocity: torch.Tensor
+    ) -> torch.Tensor:
+        return velocity
 
 
 def rolled_out(sample: Path, folder: Path, mesh: RolloutMesh, **blocks: Any) -> EventAccumulator:
@@ -84,6 +109,21 @@ def test_what_is_far_away_or_not_finite_is_left_out_and_counted(
     words = legend.tensor_proto.string_val[0].decode()
     assert "2 times a particle of the prediction is too far away" in words
     assert "of the truth is" not in words
+
+
+def test_the_scale_of_color_is_the_truths(sample: Path, tmp_path: Path) -> None:
+    """A prediction that is far too fast does not turn the truth dark."""
+    paints = []
+    for target in (VelocityTarget(), Fast()):
+        folder = tmp_path / type(target).__name__
+        mesh = RolloutMesh(times=2, particles=50)
+        events = rolled_out(sample, folder, mesh, target=target, integrator=Stays())
+        paints.append(points(events, "COLOR")[-1])
+    truth, prediction = (
+        [paint[part] for paint in paints] for part in (slice(-100, -50), slice(-50, None))
+    )
+    assert np.array_equal(*truth)
+    assert (prediction[1] > 250).all() and not (prediction[0] > 250).all()
 
 
 @pytest.mark.parametrize("name", ["times", "particles"])

@@ -191,11 +191,65 @@ def test_a_rollout_that_blows_up_is_infinite_and_named(
         ({"starts": [1.0]}, r"starts is \[1.0\]"),
         ({"starts": [-1]}, r"starts is \[-1\]"),
         ({"costly_steps": [0]}, r"costly_steps is \[0\]"),
+        ({"name": "In motion"}, "the name 'In motion'"),
+        ({"name": "predictors"}, "the name 'predictors' is taken"),
     ],
 )
 def test_arguments_that_cannot_be_used(arguments: dict[str, Any], words: str) -> None:
     with pytest.raises(UserError, match=words):
         RolloutMetrics(**arguments)
+
+
+def test_those_with_a_name_measure_apart(sample: Path, tmp_path: Path) -> None:
+    """From rest and in motion, each as it would be alone."""
+    source = data(sample)
+    changes: dict[str, Any] = {"steps": 3, "every_n_validations": 2}
+    both = (RolloutMetrics(**changes), RolloutMetrics(starts=[0.5], name="late", **changes))
+    runner = trainer(tmp_path, *both, max_epochs=2)
+    model = FluidsNet(source.cells, context=NoContext)
+    runner.fit(model, source)
+    assert {"rollout/kinetic_energy/3", "rollout_late/kinetic_energy/3"} <= set(
+        runner.callback_metrics
+    )
+    runner.save_checkpoint(tmp_path / "two.ckpt")
+    kept = torch.load(tmp_path / "two.ckpt", weights_only=False)["callbacks"]
+    assert kept["RolloutMetrics"] == kept["RolloutMetrics_late"] == {"validations": 2}
+    charts = {**both[0].charts(model), **both[1].charts(model)}
+    assert list(charts) == ["rollout", "rollout_late"]
+    assert charts["rollout_late"]["position error after 1 steps, mm"] == [
+        "rollout_late(_predictors)?/position_error_mm/1(/|$)"
+    ]
+    runner.test(model, source, verbose=False)
+    run, alone = tmp_path / "run", tmp_path / "alone"
+    trainer(alone, RolloutMetrics(starts=[0.5], **changes)).test(model, source, verbose=False)
+    late = (run / "rollout_metrics_late.csv").read_text()
+    assert late == (alone / "run" / "rollout_metrics.csv").read_text()
+    assert late != (run / "rollout_metrics.csv").read_text()
+    assert (run / "rollout_metrics_late.png").exists()
+    newest = max(run.glob("events.out*"), key=lambda path: path.stat().st_mtime_ns)
+    tags = EventAccumulator(str(newest)).Reload().Tags()
+    assert {"test_rollout/position_error_mm/1", "test_rollout_late/position_error_mm/1"} <= set(
+        tags["scalars"]
+    )
+    assert "test_rollout_late/position_error_mm" in tags["images"]
+
+
+def test_what_is_logged_beside_stands_at_the_same_steps(sample: Path, tmp_path: Path) -> None:
+    runner = trainer(
+        tmp_path,
+        RolloutMetrics(steps=2, every_n_validations=1),
+        max_epochs=1,
+        limit_train_batches=6,
+        val_check_interval=3,
+        accumulate_grad_batches=2,
+    )
+    source = data(sample)
+    runner.fit(FluidsNet(source.cells, context=NoContext), source)
+    mine, others = (
+        [event.step for event in scalars(tmp_path).Scalars(tag)]
+        for tag in ("rollout/mse_n_m2/1", "rollout_predictors/mse_n_m2/1/ballistic")
+    )
+    assert mine == others and len(mine) == 2
 
 
 def test_another_module_or_other_data_are_refused(sample: Path, tmp_path: Path) -> None:

@@ -18,15 +18,20 @@ from datamodules import SPHDataModule
 from fluidsnet import FluidsNet
 from fluidsnet.errors import UserError
 from fluidsnet.features import NoContext
+from fluidsnet.particles import Transitions
 
 
 class Slow(Callback):
-    """Takes its time: 50 ms a batch, and as told for a validation."""
+    """Takes its time: 50 ms a batch, and as told for a validation; counts a batch's particles."""
 
     def __init__(self, validation: float = 0.0) -> None:
         self.validation = validation
+        self.particles: list[int] = []
 
-    def on_train_batch_start(self, *_: Any) -> None:
+    def on_train_batch_start(
+        self, trainer: Trainer, pl_module: LightningModule, batch: Transitions, batch_idx: int
+    ) -> None:
+        self.particles.append(len(batch.state))
         time.sleep(0.05)
 
     def on_validation_epoch_end(self, *_: Any) -> None:
@@ -74,17 +79,21 @@ def test_training_is_the_same_with_and_without_it(sample: Path, tmp_path: Path) 
 
 
 def test_batches_count_and_validations_do_not(sample: Path, tmp_path: Path) -> None:
-    fit(sample, tmp_path, SpeedMonitor(), Slow(validation=0.8))
+    slow = Slow(validation=0.8)
+    fit(sample, tmp_path, SpeedMonitor(), slow)
     found = speeds(tmp_path)
     # A validation follows the second interval; the first one lacks the first step.
     assert [step for step, _ in found["step_seconds"]] == [1, 3, 5, 7]
     assert all(0.05 < value < 0.4 for _, value in found["step_seconds"])
-    # One frame, two steps of each particle.
-    for (_, particles), (_, steps) in zip(
-        found["particles_per_second"], found["steps_per_second"], strict=True
+    # One frame, two steps of each particle; of the first interval the second batch alone.
+    means = [
+        slow.particles[1],
+        *(sum(slow.particles[first : first + 2]) / 2 for first in (2, 4, 6)),
+    ]
+    for (_, particles), (_, steps), mean in zip(
+        found["particles_per_second"], found["steps_per_second"], means, strict=True
     ):
-        assert (particles / steps) / 2 == pytest.approx(round(particles / steps / 2), abs=0.6)
-        assert 2 * 200 < particles / steps < 2 * 2000
+        assert particles / steps == pytest.approx(2 * mean, rel=1e-3)
     assert all(value > 50 for _, value in found["peak_memory_mb"])
 
 

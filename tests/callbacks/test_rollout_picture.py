@@ -1,0 +1,14 @@
+"""The picture of a rollout beside its truth."""
+
+from __future__ import annotations
+
+import pytest
+
+from callbacks import RolloutPicture
+from fluidsnet.errors import UserError
+
+
+@pytest.mark.parametrize("times", [[], [-0.1], [0.5, 1.1]])
+def test_times_that_are_no_shares_are_refused(times: list[float]) -> None:
+    with pytest.raises(UserError, match="shares from 0 to 1, and there must be one"):
+        RolloutPicture(times)
