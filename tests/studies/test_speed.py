@@ -17,6 +17,7 @@ from fluidsnet.studies.model import load_model
 from fluidsnet.studies.speed_report import Report
 from fluidsnet.studies.speed_row import Row
 from fluidsnet.studies.trial import Trial
+from tools import training_step
 
 MODELS = Path(__file__).parents[2] / "configs" / "model"
 
@@ -122,6 +123,29 @@ def test_what_was_skipped_says_so(tmp_path: Path) -> None:
     assert "skipped: why" in report.write(tmp_path)
     (row,) = _table(tmp_path)
     assert row["note"] == "skipped: why" and row["step s"] == "" == row["speed-up"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "arguments are required: root, search"),
+        (["data"], "arguments are required: search"),
+        (["data", "Nearest"], "invalid choice: 'Nearest'"),
+    ],
+)
+def test_the_timer_of_a_training_step_says_its_usage(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        training_step.main(arguments)
+    assert end.value.code == 2
+    said = capsys.readouterr().err
+    assert said.startswith("usage: ") and "TorchCluster" in said and words in said
+
+
+def test_the_timer_of_a_training_step_names_a_file_it_misses(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match=r"train\.h5: there is no such file"):
+        training_step.main([str(tmp_path), "Auto"])
 
 
 @pytest.mark.parametrize(
