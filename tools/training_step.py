@@ -8,9 +8,12 @@ run::
 
 from __future__ import annotations
 
+import argparse
+import inspect
 import statistics
 import sys
 import time
+from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -20,16 +23,32 @@ import torch
 import fluidsnet.neighbors
 from datamodules import SPHDataModule
 from fluidsnet import FluidsNet
+from fluidsnet.errors import UserError
 
 WARM_UP, STEPS = 4, 30
 
 
-def main(root: Path, search: str) -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Prints the median and the least time of a step; what cannot be used ends it in a sentence."""
+    parser = argparse.ArgumentParser(description="Times a training step of the paper's network.")
+    parser.add_argument("root", type=Path, help="a data set with steps of 5 ms, such as data/demo")
+    parser.add_argument("search", choices=_searches(), help="how neighbors are found")
+    options = parser.parse_args(arguments)
+    try:
+        measure(options.root, options.search)
+    except UserError as error:
+        sys.exit(f"{error}")
+
+
+def measure(root: Path, search: str) -> None:
     """Prints the median and the least time of a step, ms.
 
     Args:
         root: a data set with steps of 5 ms, such as the demo's.
         search: a class of `fluidsnet.neighbors`.
+
+    Raises:
+        UserError: the data set cannot be used.
     """
     torch.manual_seed(0)
     data = SPHDataModule(root, voxel_size=1.5 / 18, stride=4, batch_size=2)
@@ -54,5 +73,16 @@ def main(root: Path, search: str) -> None:
     )
 
 
+def _searches() -> list[str]:
+    """Those of the checkout at hand."""
+    return [
+        name
+        for name, one in vars(fluidsnet.neighbors).items()
+        if inspect.isclass(one)
+        and issubclass(one, fluidsnet.neighbors.NeighborSearch)
+        and not inspect.isabstract(one)
+    ]
+
+
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2])
+    main()

@@ -99,7 +99,7 @@ class SpeedOptions:
 
 
 def speed_command(arguments: list[str]) -> None:
-    """Measures what the options say, and writes tables and figure after each size.
+    """Measures what the options say; tables and figure are written after each measurement.
 
     Raises:
         UserError: an option cannot be used, or the solver is asked for and not installed.
@@ -132,7 +132,7 @@ def _parser() -> Parser:
             "Measures how long one step of a network takes against the number of particles, "
             "beside SPlisHSPlasH on the same scenes with the same threads: dam breaks whose "
             "domain grows while the particles stay the paper's. Tables and figure are written "
-            "after each size. Nothing else should run meanwhile. "
+            "after each measurement. Nothing else should run meanwhile. "
             "A first try: fluidsnet speed --particles [1000,30000]"
         ),
         SpeedOptions,

@@ -8,32 +8,12 @@ from pathlib import Path
 
 from callbacks.table import Cell, markdown
 from fluidsnet.studies.machine import BUSY
-from fluidsnet.studies.paper_tables import batches, large_scenes
-from fluidsnet.studies.speed_row import Row, Spread, speed_up
+from fluidsnet.studies.paper_tables import large_scenes
+from fluidsnet.studies.speed_batch import Batch, table_3
+from fluidsnet.studies.speed_floor import Floor
+from fluidsnet.studies.speed_number import NONE, milliseconds, number
+from fluidsnet.studies.speed_row import Row, speed_up
 from fluidsnet.studies.trial import STAGES
-
-_NONE = "–"
-
-
-@dataclass
-class Batch:
-    """Many frames predicted at once.
-
-    Attributes:
-        particles: of the fluid in a frame.
-        frames: predicted.
-        seconds: of all frames.
-        batches: frames in each batch.
-        peak: bytes.
-        solver: s of the solver's frame.
-    """
-
-    particles: int
-    frames: int
-    seconds: Spread
-    batches: list[int]
-    peak: int
-    solver: float | None
 
 
 @dataclass
@@ -45,16 +25,14 @@ class Report:
         busy_before: cores that others took before the first measurement.
         rows: a size and a way each.
         batches: the paper's Table 3.
-        floors: bytes and operations of a step, and the least s they take, by particles.
-        cores: bandwidth, bytes/s, and operations/s of these cores.
+        floor: what the cores can do, and what a step asks of them.
     """
 
     header: list[str] = field(default_factory=list)
     busy_before: float = 0.0
     rows: list[Row] = field(default_factory=list)
     batches: list[Batch] = field(default_factory=list)
-    floors: dict[int, dict[str, float]] = field(default_factory=dict)
-    cores: dict[str, float] = field(default_factory=dict)
+    floor: Floor = field(default_factory=Floor)
 
     def solver(self, row: Row, name: str = "IISPH") -> Row | None:
         """The solver's row of the same size."""
@@ -63,19 +41,25 @@ class Report:
 
     @property
     def warnings(self) -> list[str]:
-        """What may have spoilt the times."""
+        """What may have spoiled the times."""
         found = []
         if self.busy_before > BUSY:
             found.append(
                 f"the machine was busy before the first measurement: others took "
                 f"{self.busy_before:.1f} cores."
             )
-        busy = [row for row in self.rows if row.others > BUSY]
-        if busy:
-            names = "; ".join(f"{row.particles:,} {row.way}" for row in busy)
+        if self.floor.steps and self.floor.others > BUSY:
             found.append(
-                f"the machine was busy during {len(busy)} of {len(self.rows)} measurements, "
-                f"others took up to {max(row.others for row in busy):.1f} cores; do not trust "
+                f"the machine was busy while its cores were measured: others took "
+                f"{self.floor.others:.1f} cores; do not trust the floor."
+            )
+        measured: list[Row | Batch] = [*self.rows, *self.batches]
+        busy = [one for one in measured if one.others > BUSY]
+        if busy:
+            names = "; ".join(f"{one.particles:,} {one.way}" for one in busy)
+            found.append(
+                f"the machine was busy during {len(busy)} of {len(measured)} measurements, "
+                f"others took up to {max(one.others for one in busy):.1f} cores; do not trust "
                 f"the times of: {names}."
             )
         return found
@@ -104,10 +88,11 @@ class Report:
             "\n## The search alone, its edges stored\n",
             self._searches(),
         ]
-        if self.floors:
-            parts += ["\n## The floor\n", self._floor()]
+        if self.floor.steps:
+            parts += ["\n## The floor\n", self.floor.table()]
         if self.batches:
-            parts += ["\n## Many frames at once, beside the paper's Table 3\n", self._table_3()]
+            heading = "\n## Many frames at once, beside the paper's Table 3\n"
+            parts += [heading, table_3(self.batches)]
         parts += ["\n## Large scenes: the paper's Table 4, for comparison\n", large_scenes()]
         text = "\n".join(parts)
         (folder / "speed.md").write_text(text)
@@ -121,20 +106,20 @@ class Report:
         rows: list[list[Cell]] = []
         for row in self.rows:
             if row.step is None:
-                rows.append([f"{row.particles:,}", "", row.way, row.note, *6 * [_NONE]])
+                rows.append([f"{row.particles:,}", "", row.way, row.note, *6 * [NONE]])
                 continue
             rows.append(
                 [
                     f"{row.particles:,}",
                     f"{row.solids:,}",
                     row.way,
-                    _ms(row.step),
-                    _number(row.per_simulated_second),
+                    milliseconds(row.step),
+                    number(row.per_simulated_second),
                     f"{row.particles_per_second:,.0f}",
-                    _number(None if row.peak is None else row.peak / 1e6, ".0f"),
-                    _number(row.error, ".1e"),
-                    _number(speed_up(row, self.solver(row))),
-                    _number(speed_up(row, self.solver(row, "DFSPH"))),
+                    number(None if row.peak is None else row.peak / 1e6, ".0f"),
+                    number(row.error, ".1e"),
+                    number(speed_up(row, self.solver(row))),
+                    number(speed_up(row, self.solver(row, "DFSPH"))),
                 ]
             )
         return markdown(header, rows)
@@ -144,8 +129,8 @@ class Report:
             [
                 f"{row.particles:,}",
                 row.way,
-                *(_number(row.stages.get(stage)) for stage in STAGES),
-                _number(row.rest),
+                *(number(row.stages.get(stage)) for stage in STAGES),
+                number(row.rest),
             ]
             for row in self.rows
             if row.stages
@@ -167,9 +152,9 @@ class Report:
                 [
                     f"{row.particles:,}",
                     row.neighbors,
-                    _ms(row.search),
-                    _number(row.edges),
-                    _number(None if other is None else other / row.search[0]),
+                    milliseconds(row.search),
+                    number(row.edges),
+                    number(None if other is None else other / row.search[0]),
                 ]
             )
         header = (
@@ -180,61 +165,3 @@ class Report:
             "× torch-cluster",
         )
         return markdown(header, rows)
-
-    def _floor(self) -> str:
-        rows: list[list[Cell]] = []
-        for particles, one in sorted(self.floors.items()):
-            rows.append(
-                [
-                    f"{particles:,}",
-                    f"{one['bytes'] / 1e6:,.0f}",
-                    _number(1000 * one["bytes"] / self.cores["bandwidth"]),
-                    f"{one['operations'] / 1e9:.2f}",
-                    _number(1000 * one["operations"] / self.cores["flops"]),
-                    _number(1000 * one["step"]),
-                ]
-            )
-        text = (
-            f"A copy moves {self.cores['bandwidth'] / 1e9:.1f} GB/s, a product of matrices does "
-            f"{self.cores['flops'] / 1e9:.0f} Gflop/s on these threads. The layers' arithmetic and "
-            "the state's bytes, each once, and no search, would take\n\n"
-        )
-        header = ("fluid", "MB", "ms for them", "Gflop", "ms for them", "measured ms")
-        return text + markdown(header, rows)
-
-    def _table_3(self) -> str:
-        rows: list[list[Cell]] = [
-            [
-                f"{batch.particles:,}",
-                f"{batch.frames} in {'+'.join(map(str, batch.batches))}",
-                _number(batch.solver),
-                _number(batch.seconds[0]),
-                _number(batch.seconds[0] / batch.frames),
-                f"{batch.peak / 1e6:.0f}",
-                _number(
-                    None if batch.solver is None else batch.solver * batch.frames / batch.seconds[0]
-                ),
-            ]
-            for batch in self.batches
-        ]
-        header = (
-            "fluid", "frames", "IISPH s a frame", "prediction s", "s a frame", "peak MB", "× IISPH"
-        )  # fmt: skip
-        return (
-            "Measured here: dam breaks of as many particles. The frames are known ones, each "
-            "stepped once; a rollout's frames wait for each other and gain nothing.\n\n"
-            + markdown(header, rows)
-            + "\n"
-            + batches()
-        )
-
-
-def _ms(values: Spread) -> str:
-    middle, least, most = (_number(1000 * value) for value in values)
-    return f"{middle} ({least} to {most})"
-
-
-def _number(value: float | None, form: str = ".3g") -> str:
-    if value is None:
-        return _NONE
-    return f"{value:,.0f}" if form == ".3g" and abs(value) >= 1000 else f"{value:{form}}"

@@ -10,10 +10,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, NoReturn
 
-import h5py
 from tqdm import tqdm
 
-from datamodules.generate.dataset import generate
 from fluidsnet.errors import UserError
 from fluidsnet.studies.cores import floor
 from fluidsnet.studies.dam import Dam
@@ -21,15 +19,18 @@ from fluidsnet.studies.machine import BUSY, OtherLoad, cpu_model, device_name, v
 from fluidsnet.studies.model import load_model
 from fluidsnet.studies.own_process import in_own_process
 from fluidsnet.studies.paper_tables import BATCHES
+from fluidsnet.studies.speed_batch import Batch
 from fluidsnet.studies.speed_figure import draw
-from fluidsnet.studies.speed_report import Batch, Report
+from fluidsnet.studies.speed_floor import Floor
+from fluidsnet.studies.speed_report import Report
 from fluidsnet.studies.speed_row import Row, spread
+from fluidsnet.studies.speed_solver import time_solver
 from fluidsnet.studies.trial import Trial
 
 
 @dataclass
 class Run:
-    """Measures all that `SpeedOptions` asks for; the attributes are its, and one more.
+    """Measures all that `SpeedOptions` asks for; the attributes are its, and two more.
 
     Attributes:
         work: folder for the solver's files, which are removed after each size.
@@ -74,9 +75,7 @@ class Run:
         each = 1 + len(self.solvers) + len(list(self._ways()))
         with tqdm(total=1 + each * len(sizes) + 2 * len(scenes), unit="measurement") as bar:
             bar.set_description("what the cores can do")
-            self.report.cores = in_own_process(
-                self.work, Trial("cores", threads=self.threads)
-            ).cores
+            self.report.floor = self._cores()
             bar.update()
             for size in sizes:
                 self._size(Dam.of(size), bar)
@@ -96,6 +95,15 @@ class Run:
                 yield neighbors, precision, False
             if self.compile and not few:
                 yield neighbors, "float32", True
+
+    def _cores(self) -> Floor:
+        with OtherLoad() as load:
+            result = in_own_process(self.work, Trial("cores", threads=self.threads))
+        if result.failure:
+            tqdm.write(f"no floor, since the measurement of the cores: {result.failure}")
+            return Floor(note=result.failure)
+        _warn("the measurement of the cores", load.cores)
+        return Floor(result.cores, load.cores)
 
     def _size(self, dam: Dam, bar: tqdm[NoReturn]) -> None:
         rows, states = self._solve(dam, self.frames, self.solvers, bar)
@@ -123,7 +131,7 @@ class Run:
         if known is not None and known.edges is not None and first is not None and first.step:
             least = floor(self._network, dam.particles, known.edges)
             if least is not None:
-                self.report.floors[dam.particles] = {**least, "step": first.step[0]}
+                self.report.floor.steps[dam.particles] = {**least, "step": first.step[0]}
         self._write()
         reference.unlink(missing_ok=True)
         states.unlink()
@@ -147,7 +155,7 @@ class Run:
         row.stages, row.edges = result.stages, result.edges
         row.step = spread(result.step) if result.step else None
         row.search = spread(result.search) if result.search else None
-        self._check(row)
+        _warn(f"{row.particles:,} particles, {row.way}", row.others)
 
     def _solve(
         self, dam: Dam, frames: int, solvers: list[Any], bar: tqdm[NoReturn]
@@ -161,21 +169,11 @@ class Run:
             root = self.work / f"{solver}-{dam.particles}"
             try:
                 recipe = dam.recipe(solver, frames, self.time_step, self.solver_step)
-                with OtherLoad() as load:
-                    generate(recipe, root, processes=1, threads=self.threads)
-                row.others = load.cores
-                with h5py.File(root / "train.h5") as file:
-                    group = next(iter(file.values()))
-                    row.step = spread(group["solver_seconds"][1:].tolist())
-                    row.solids = len(group["solid_position"])
-                if not states.exists():
-                    (root / "train.h5").rename(states)
+                time_solver(row, recipe, root, self.threads, states)
             except UserError as error:
                 row.note = f"failed: {error}"
                 tqdm.write(f"{dam.particles:,} particles, {solver}: {error}")
-            for left in root.glob("*"):
-                left.unlink()
-            self._check(row)
+            _warn(f"{row.particles:,} particles, {row.way}", row.others)
             rows.append(row)
             self.report.rows.append(row)
             self._write()
@@ -192,21 +190,20 @@ class Run:
         self.report.rows = rows
         bar.set_description(f"{dam.particles:,} particles, {self.batch} frames at once")
         bar.update(2 - len(made))
-        result = in_own_process(
-            self.work,
-            self._trial(states, kind="batch", neighbors=self.neighbors[0], batch=self.batch),
-        )
+        trial = self._trial(states, kind="batch", neighbors=self.neighbors[0], batch=self.batch)
+        with OtherLoad() as load:
+            result = in_own_process(self.work, trial)
         states.unlink()
         if not result.step:
             tqdm.write(f"{dam.particles:,} particles, {self.batch} at once: {result.failure}")
             return
         solver = next((row.step[0] for row in made if row.step), None)
-        self.report.batches.append(
-            Batch(
-                dam.particles, self.batch, spread(result.step), result.batches,
-                result.peak or 0, solver,
-            )
+        batch = Batch(
+            dam.particles, self.batch, spread(result.step), result.batches, result.peak or 0,
+            solver, max([load.cores, *(row.others for row in made)]),
         )  # fmt: skip
+        _warn(f"{dam.particles:,} particles, {self.batch} frames at once", load.cores)
+        self.report.batches.append(batch)
         self._write()
 
     def _trial(self, states: Path, **more: Any) -> Trial:
@@ -236,16 +233,13 @@ class Run:
             "column at rest",
         ]
 
-    def _check(self, row: Row) -> None:
-        if row.others > BUSY:
-            tqdm.write(
-                f"WARNING: others took {row.others:.1f} cores during {row.particles:,} "
-                f"particles, {row.way}.",
-                file=sys.stderr,
-            )
-
     def _write(self) -> None:
         folder = Path(self.output)
         self.report.write(folder)
         if any(row.step for row in self.report.rows):
             draw(self.report.rows, folder / "speed.png")
+
+
+def _warn(what: str, others: float) -> None:
+    if others > BUSY:
+        tqdm.write(f"WARNING: others took {others:.1f} cores during {what}.", file=sys.stderr)

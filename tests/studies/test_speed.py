@@ -10,13 +10,16 @@ import pytest
 from datamodules.reader import FrameReader
 from fluidsnet.main import main
 from fluidsnet.network import Network
+from fluidsnet.studies import speed_run, speed_solver
 from fluidsnet.studies.bench import measure
 from fluidsnet.studies.cores import floor
 from fluidsnet.studies.dam import Dam
 from fluidsnet.studies.model import load_model
+from fluidsnet.studies.speed_number import number
 from fluidsnet.studies.speed_report import Report
 from fluidsnet.studies.speed_row import Row
-from fluidsnet.studies.trial import Trial
+from fluidsnet.studies.trial import Result, Trial
+from tools import training_step
 
 MODELS = Path(__file__).parents[2] / "configs" / "model"
 
@@ -122,6 +125,120 @@ def test_what_was_skipped_says_so(tmp_path: Path) -> None:
     assert "skipped: why" in report.write(tmp_path)
     (row,) = _table(tmp_path)
     assert row["note"] == "skipped: why" and row["step s"] == "" == row["speed-up"]
+
+
+def _study(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, solver: str = "none", **results: Result
+) -> str:
+    """The page of a tiny study whose processes leave these results, by kind of trial."""
+
+    def in_own_process(work: Path, trial: Trial) -> Result:
+        return results.get(trial.kind, Result())
+
+    monkeypatch.setattr(speed_run, "in_own_process", in_own_process)
+    # The paper's scenes take minutes.
+    monkeypatch.setattr(speed_run, "BATCHES", [("a dam", 1000)])
+    words = ["--particles=[1000]", "--batch=2", "--threads=1", "--neighbors=[Auto]"]
+    main(["speed", *words, f"--solvers=[{solver}]", f"--output={folder}"])
+    return (folder / "speed.md").read_text()
+
+
+def _load(*cores: float) -> type:
+    """In place of `OtherLoad`: what others take during one measurement after another."""
+    left = iter(cores)
+
+    class Load:
+        def __enter__(self) -> Load:
+            self.cores = next(left)
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+    return Load
+
+
+CORES = Result(cores={"bandwidth": 3e10, "flops": 2e11})
+STEP = Result(step=[0.01], edges=27.0)
+BATCH = Result(step=[0.04], batches=[2])
+
+
+def test_without_the_cores_there_is_no_floor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = _study(tmp_path / "whole", monkeypatch, cores=CORES, step=STEP)
+    assert "A copy moves 30.0 GB/s" in page and "Gflop |" in page
+    page = _study(tmp_path, monkeypatch, cores=Result(failure="out of memory"), step=STEP)
+    assert "What these cores can do was not measured (out of memory)." in page
+    assert "Gflop |" not in page
+    assert [row["note"] for row in _table(tmp_path)] == [""]
+
+
+def test_every_measurement_says_what_ran_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # Before the first measurement, then of the cores, of the step and of the frames at once.
+    monkeypatch.setattr(speed_run, "OtherLoad", _load(0.0, 0.4, 0.0, 0.7))
+    page = _study(tmp_path, monkeypatch, cores=CORES, step=STEP, batch=BATCH)
+    assert "while its cores were measured: others took 0.4 cores; do not trust the floor." in page
+    assert "busy during 1 of 2 measurements, others took up to 0.7 cores" in page
+    assert "do not trust the times of: 1,008 × 2 frames at once." in page
+    said = capsys.readouterr().err
+    assert "others took 0.4 cores during the measurement of the cores." in said
+    assert "others took 0.7 cores during 1,008 particles, 2 frames at once." in said
+
+
+@needs_solver
+def test_what_ran_beside_the_solver_counts_for_the_frames_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The solver runs for the size, and again for the frames.
+    monkeypatch.setattr(speed_solver, "OtherLoad", _load(0.0, 0.6))
+    monkeypatch.setattr(speed_run, "OtherLoad", _load(0.0, 0.0, 0.0, 0.0))
+    page = _study(tmp_path, monkeypatch, "IISPH", cores=CORES, step=STEP, batch=BATCH)
+    assert "busy during 1 of 3 measurements, others took up to 0.6 cores" in page
+    assert "do not trust the times of: 1,008 × 2 frames at once." in page
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (None, "–"),
+        (0.0, "0"),
+        (0.01234, "0.0123"),
+        (999.4, "999"),
+        (999.5, "1,000"),
+        (999.99, "1,000"),
+        (-999.7, "-1,000"),
+        (1000.0, "1,000"),
+        (125184.3, "125,184"),
+    ],
+)
+def test_a_number_has_three_digits_and_no_exponent(value: float | None, words: str) -> None:
+    assert number(value) == words
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "arguments are required: root, search"),
+        (["data"], "arguments are required: search"),
+        (["data", "Nearest"], "invalid choice: 'Nearest'"),
+    ],
+)
+def test_the_timer_of_a_training_step_says_its_usage(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        training_step.main(arguments)
+    assert end.value.code == 2
+    said = capsys.readouterr().err
+    assert said.startswith("usage: ") and "TorchCluster" in said and words in said
+
+
+def test_the_timer_of_a_training_step_names_a_file_it_misses(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match=r"train\.h5: there is no such file"):
+        training_step.main([str(tmp_path), "Auto"])
 
 
 @pytest.mark.parametrize(

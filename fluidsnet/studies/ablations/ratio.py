@@ -72,7 +72,9 @@ def digits(value: float) -> str:
     """Three significant digits, the last zeros too, so that a mean and its interval match."""
     if not math.isfinite(value):
         return f"{value:g}"
-    return f"{value:,.0f}" if value >= 1000 else f"{value:#.3g}".rstrip(".")
+    text = f"{value:#.3g}"
+    # The text decides: what is rounded up to 1,000 would have an exponent.
+    return f"{value:,.0f}" if float(text) >= 1000 else text.rstrip(".")
 
 
 def _exp(value: float) -> float:
