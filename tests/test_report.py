@@ -6,16 +6,21 @@ import csv
 import re
 import shutil
 from base64 import b64decode
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
 from pathlib import Path
 
 import lightning
+import numpy as np
 import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.compat.tensorflow_stub.pywrap_tensorflow import crc32c as tensorboard_crc32c
 from torch.utils.tensorboard import SummaryWriter
 
 from fluidsnet.errors import UserError
 from fluidsnet.main import main
+from fluidsnet.report.event_file import crc32c, read_event_file
 from fluidsnet.report.events import read_history
 from fluidsnet.report.grid import Grid, shown, side_by_side
 from fluidsnet.report.run import names, read_runs
@@ -82,6 +87,23 @@ trainer:
 """
 
 
+def fit(folder: Path, name: str, *more: str, configs: Sequence[str] = ()) -> None:
+    """Trains four steps on the sample and logs each, unless told otherwise."""
+    base = ("trainer.yaml", "model/paper.yaml", "data/sample.yaml")
+    main(
+        [
+            "fit", *(f"--config={CONFIGS / config}" for config in (*base, *configs)),
+            f"--data.init_args.root={ROOT / 'tests' / 'data' / 'dam_break'}",
+            "--trainer.max_steps=4", "--trainer.log_every_n_steps=1",
+            "--trainer.val_check_interval=2", "--trainer.limit_val_batches=1",
+            "--trainer.enable_progress_bar=false", "--trainer.accelerator=cpu",
+            f"--trainer.logger.init_args.save_dir={folder}",
+            f"--trainer.logger.init_args.name={name}", "--trainer.logger.init_args.version=",
+            *more,
+        ]
+    )  # fmt: skip
+
+
 def report(*runs: Path, output: Path) -> Page:
     main(["report", *map(str, runs), f"--output={output}"])
     return Page((output / "report.html").read_text())
@@ -94,27 +116,12 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     Only `two` rolls out while it trains.
     """
     folder = tmp_path_factory.mktemp("runs")
-    base = [
-        CONFIGS / "trainer.yaml",
-        CONFIGS / "model" / "paper.yaml",
-        CONFIGS / "data" / "sample.yaml",
-    ]
     rolls_out = folder / "rolls_out.yaml"
     rolls_out.write_text(ROLLS_OUT)
-    for name, more in (("one", []), ("two", [rolls_out, CONFIGS / "ablation" / "target.yaml"])):
-        configs = [f"--config={config}" for config in (*base, *more)]
-        main(
-            [
-                "fit", *configs,
-                f"--data.init_args.root={ROOT / 'tests' / 'data' / 'dam_break'}",
-                "--trainer.max_steps=4", "--trainer.log_every_n_steps=1",
-                "--trainer.val_check_interval=2", "--trainer.limit_val_batches=1",
-                "--trainer.enable_progress_bar=false", "--trainer.accelerator=cpu",
-                f"--model.init_args.optimizer.init_args.lr={0.003 if name == 'one' else 0.001}",
-                f"--trainer.logger.init_args.save_dir={folder}",
-                f"--trainer.logger.init_args.name={name}", "--trainer.logger.init_args.version=",
-            ]
-        )  # fmt: skip
+    rate = "--model.init_args.optimizer.init_args.lr={}"
+    fit(folder, "one", rate.format(0.003))
+    fit(folder, "two", rate.format(0.001), configs=[str(rolls_out), "ablation/target.yaml"])
+    for name in ("one", "two"):
         main(["test", f"--run={folder / name}", "--trainer.limit_test_batches=1"])
     main(["predict", f"--run={folder / 'one'}", "--data.init_args.rollout_steps=3"])
     return folder
@@ -202,6 +209,59 @@ def test_the_curves_are_those_of_the_training_alone(one: Path, tmp_path: Path) -
     assert curves["train/loss"][2] == (2, 7.0)
     assert curves["val/skill"] == history.curves["val/skill"][:1]
     assert "one: train/loss is not finite at step 3" in report(one, output=tmp_path / "r").text
+
+
+def test_values_are_those_that_tensorboard_reads(runs: Path) -> None:
+    for path in runs.glob("*/events*"):
+        events = EventAccumulator(str(path), size_guidance={"scalars": 0})
+        events.Reload()
+        file = read_event_file(path)
+        assert file.flaw == ""
+        assert list(file.scalars) == events.Tags()["scalars"]
+        for tag, scalars in file.scalars.items():
+            expected = [(event.step, event.value, event.wall_time) for event in events.Scalars(tag)]
+            assert scalars == expected
+
+
+def test_a_byte_that_is_not_as_written_is_found_wherever_it_is(one: Path) -> None:
+    whole = read_history(one)
+    path = min(one.glob("events*"))
+    data = path.read_bytes()
+    size = int.from_bytes(data[:8], "little")
+    found = {}
+    # In the first record's length, its checksum, the event, its checksum, in others, at the end.
+    for place in (0, 8, 12, 12 + size, *range(size + 16, len(data), len(data) // 20), -1):
+        damaged = bytearray(data)
+        damaged[place] ^= 1
+        path.write_bytes(damaged)
+        history = read_history(one)
+        (sentence,) = history.unread
+        assert sentence.startswith(f"{path.name} is damaged")
+        for tag, curve in history.curves.items():
+            assert curve == whole.curves[tag][: len(curve)]
+        last = max((curve[-1][0] for curve in history.curves.values()), default=None)
+        if last is not None:
+            assert sentence.endswith(f": what followed a value at step {last} is missing.")
+        found[place] = history
+    assert found[0].unread == [f"{path.name} is damaged: no value precedes that."]
+    assert found[0].curves == {}
+    assert found[-1].curves == whole.curves
+
+
+@pytest.mark.parametrize("left", [1, 8, 11, 12, 20])
+def test_a_file_that_ends_within_a_record_is_told_from_a_damaged_one(left: int, one: Path) -> None:
+    path = min(one.glob("events*"))
+    path.write_bytes(path.read_bytes()[:left])
+    assert read_event_file(path).flaw == (
+        f"{path.name} ends within a record, as after its process was killed: no value precedes "
+        "that."
+    )
+
+
+@pytest.mark.parametrize("size", [0, 1, 1000])
+def test_the_checksum_is_that_of_tensorboard(size: int) -> None:
+    data = np.random.default_rng(size).integers(0, 256, size, dtype=np.uint8)
+    assert crc32c(data) == tensorboard_crc32c(data.tobytes())
 
 
 def test_settings_are_compared_with_what_is_shipped() -> None:
@@ -313,10 +373,18 @@ def test_files_that_are_damaged_are_named(one: Path, tmp_path: Path) -> None:
     event = min(one.glob("events*"))
     event.write_bytes(event.read_bytes()[:-20])
     (one / "events.out.tfevents.0").write_bytes(b"nonsense" * 100)
+    (one / "events.out.tfevents.1").mkdir()
     (one / "rollout.png").write_bytes(b"")
     page = report(one, output=tmp_path / "report")
     for name in ("config.yaml", "one_step.csv", "rollout.csv", "rollout.png"):
         assert f"{name} cannot be read" in page.text
+    for sentence in (
+        "events.out.tfevents.0 is damaged: no value precedes that.",
+        "events.out.tfevents.1 cannot be read: Is a directory.",
+        f"{event.name} ends within a record, as after its process was killed: what followed a "
+        "value at step 3 is missing.",
+    ):
+        assert f"one: {sentence}" in page.words
     # What was written before the damage is there.
     assert "train/loss" in page.words
 

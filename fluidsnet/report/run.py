@@ -37,7 +37,7 @@ class Run:
         tables: by their names in `TABLES`; only those that are there.
         remarks: sentences below a table in its Markdown, by the table's name.
         pictures: PNG files in the folder.
-        unread: sentences, one for each file that is there and cannot be read.
+        unread: sentences, one for each file that is not whole or cannot be read.
     """
 
     name: str
@@ -95,7 +95,7 @@ def _check(folder: Path) -> None:
 
 def _read(folder: Path, name: str) -> Run:
     run = Run(name, folder, history=read_history(folder))
-    run.unread = [f"{file} cannot be read." for file in run.history.unread]
+    run.unread = [*run.history.unread]
     _read_config(run)
     for table in TABLES:
         path = folder / f"{table}.csv"
