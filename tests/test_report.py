@@ -14,6 +14,7 @@ from pathlib import Path
 import lightning
 import numpy as np
 import pytest
+import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.compat.tensorflow_stub.pywrap_tensorflow import crc32c as tensorboard_crc32c
 from torch.utils.tensorboard import SummaryWriter
@@ -211,6 +212,46 @@ def test_the_curves_are_those_of_the_training_alone(one: Path, tmp_path: Path) -
     assert "one: train/loss is not finite at step 3" in report(one, output=tmp_path / "r").text
 
 
+def test_a_training_that_is_repeated_leaves_nothing_of_the_one_before(one: Path) -> None:
+    first = read_history(one)
+    assert [step for step, _ in first.curves["train/loss"]] == [0, 1, 2, 3]
+    # Its first loss comes after its first validation.
+    more = ["--trainer.max_steps=3", "--trainer.log_every_n_steps=3"]
+    fit(one.parent, "one", *more, "--trainer.val_check_interval=1")
+    curves = read_history(one).curves
+    assert [step for step, _ in curves["train/loss"]] == [2]
+    assert [step for step, _ in curves["val/skill"]] == [0, 1, 2]
+    assert max(curve[-1][0] for curve in curves.values()) == 2
+
+
+def test_a_training_that_is_resumed_keeps_what_went_before(one: Path) -> None:
+    first = read_history(one).curves
+    checkpoint = one / "checkpoints" / "last.ckpt"
+    begin = torch.load(checkpoint, weights_only=False)["global_step"]
+    assert begin > 0
+    # At whatever step it is resumed, Lightning logs this at step 0.
+    logged = "--trainer.logger.init_args.default_hp_metric=true"
+    fit(one.parent, "one", "--trainer.max_steps=6", f"--ckpt_path={checkpoint}", logged)
+    curves = read_history(one).curves
+    assert curves["hp_metric"] == ((0, -1.0),)
+    assert [step for step, _ in curves["train/loss"]] == list(range(6))
+    for tag in ("train/loss", "val/skill"):
+        assert [point for point in curves[tag] if point[0] < begin] == [
+            point for point in first[tag] if point[0] < begin
+        ]
+
+
+def test_a_training_shorter_than_the_interval_of_its_losses_is_one(tmp_path: Path) -> None:
+    fit(tmp_path, "short", "--trainer.log_every_n_steps=5")
+    curves = read_history(tmp_path / "short").curves
+    assert "train/loss" not in curves
+    assert [step for step, _ in curves["val/skill"]] == [1, 3]
+    page = report(tmp_path / "short", output=tmp_path / "report")
+    assert "short has no train/loss: fluidsnet fit logs the loss after every" in page.text
+    # Skill and the loss of validation.
+    assert len(page.all("svg")) == 2
+
+
 def test_values_are_those_that_tensorboard_reads(runs: Path) -> None:
     for path in runs.glob("*/events*"):
         events = EventAccumulator(str(path), size_guidance={"scalars": 0})
@@ -361,6 +402,7 @@ def test_what_is_missing_is_said_in_a_line(one: Path, tmp_path: Path) -> None:
     missing = sum(part.get("class") == "missing" for part in page.all("p"))
     # A glance, one step, rollouts, metrics, pictures, training, ablations.
     assert missing == 7
+    assert "one has no curves of a training" in page.text
     assert not page.all("svg") and not page.all("img")
     for words in ("one has no one_step.csv: fluidsnet test", "one has no pictures"):
         assert words in page.text

@@ -11,10 +11,13 @@ from fluidsnet.report.event_file import EventFile, read_event_file
 
 PATTERN = "events.out.tfevents.*"
 
-#: A session that logged this trained; others tested, or validated a checkpoint once.
 TRAINED = "train/loss"
 #: The learning rate, with twins one of each model.
 RATE = "train/learning_rate"
+
+#: Groups of what a training logs at its own steps; one that is resumed may log others at step 0,
+#: such as Lightning's `hp_metric`.
+_OF_TRAINING = ("train/", "val/", "ablation/")
 
 Curve = tuple[tuple[int, float], ...]
 
@@ -38,7 +41,8 @@ def read_history(folder: Path) -> History:
     """Reads the event files of a run's training.
 
     Each session of a run has its own file. Where training was resumed or repeated in the same
-    folder, the later session's values replace the earlier one's from its first step on.
+    folder, the later session's values replace the earlier one's from the first step on that it
+    logged. Sessions without a training loss and without anything above step 0 did not train.
 
     Args:
         folder: of the run.
@@ -52,10 +56,15 @@ def read_history(folder: Path) -> History:
             history.unread.append(f"{path.name} cannot be read: {error.strerror}.")
     history.unread += [file.flaw for file in files if file.flaw]
     for file in sorted(files, key=lambda file: file.began):
-        if TRAINED not in file.scalars:
+        steps = {
+            scalar.step
+            for tag, scalars in file.scalars.items()
+            if tag.startswith(_OF_TRAINING)
+            for scalar in scalars
+        }
+        if TRAINED not in file.scalars and not any(steps):
             continue
-        # The ablation's costs are measured before the first step and logged at step 0.
-        begin = min(scalar.step for scalar in file.scalars[TRAINED])
+        begin = min(steps)
         times = [scalar.time for scalars in file.scalars.values() for scalar in scalars]
         history.seconds += max(times) - min(times)
         history.curves = {
