@@ -472,6 +472,49 @@ def test_a_report_does_not_replace_a_runs_own_files(
         read_runs([runs / "one", runs / "two" / ".." / "one"])
 
 
+@pytest.mark.parametrize("taken", ["report", "report/report.md/file"])
+def test_a_report_that_cannot_be_written_is_one_sentence(
+    taken: str, one: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / taken).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / taken).touch()
+    below = "/below" if taken == "report" else ""
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as end:
+        main(["report", str(one), f"--output={tmp_path / 'report'}{below}"])
+    assert end.value.code == 1
+    said = capsys.readouterr().err
+    assert "cannot be written" in said and "choose another --output" in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("where", "first", "other", "printed"),
+    [
+        ("", "one", "two", "report"),
+        ("one", ".", "../two", "{}/report"),
+        ("one/checkpoints", "..", "../../two", "{}/report"),
+    ],
+)
+def test_a_report_of_several_lies_beside_the_first(
+    where: str,
+    first: str,
+    other: str,
+    printed: str,
+    runs: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    there = shutil.copytree(runs, tmp_path / "runs")
+    monkeypatch.chdir(there / where)
+    main(["report", first, other])
+    assert (there / "report" / "report.html").is_file()
+    assert not (there / "one" / "report").exists()
+    page = capsys.readouterr().out.splitlines()[-2]
+    assert page == f"{printed.format(there)}/report.html"
+
+
 def test_runs_have_the_shortest_names_that_tell_them_apart() -> None:
     assert names([Path("/runs/demo"), Path("/runs/other")]) == ["demo", "other"]
     assert names([Path("/a/version_0")]) == ["a/version_0"]
