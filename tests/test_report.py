@@ -23,7 +23,7 @@ from fluidsnet.errors import UserError
 from fluidsnet.main import main
 from fluidsnet.report.event_file import crc32c, read_event_file
 from fluidsnet.report.events import read_history
-from fluidsnet.report.grid import Grid, shown, side_by_side
+from fluidsnet.report.grid import Grid, read_grid, shown, side_by_side
 from fluidsnet.report.run import names, read_runs
 from fluidsnet.report.settings import changed, differing, flat, shipped
 
@@ -429,6 +429,16 @@ def test_files_that_are_damaged_are_named(one: Path, tmp_path: Path) -> None:
         assert f"one: {sentence}" in page.words
     # What was written before the damage is there.
     assert "train/loss" in page.words
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("", "it is empty"), ("\n\n", "it is empty"), ("a,b\n", "it is not a header and rows")],
+)
+def test_a_table_without_rows_is_none(text: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "table.csv").write_text(text)
+    with pytest.raises(ValueError, match=words):
+        read_grid(tmp_path / "table.csv")
 
 
 def test_a_name_is_text_and_not_markup(one: Path, tmp_path: Path) -> None:
