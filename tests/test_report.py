@@ -21,6 +21,7 @@ from torch.utils.tensorboard import SummaryWriter
 
 from fluidsnet.errors import UserError
 from fluidsnet.main import main
+from fluidsnet.report.curves import Line, draw
 from fluidsnet.report.event_file import crc32c, read_event_file
 from fluidsnet.report.events import read_history
 from fluidsnet.report.grid import Grid, read_grid, shown, side_by_side
@@ -523,6 +524,13 @@ def test_a_report_of_several_lies_beside_the_first(
     assert not (there / "one" / "report").exists()
     page = capsys.readouterr().out.splitlines()[-2]
     assert page == f"{printed.format(there)}/report.html"
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_every_curve_is_in_the_legend(count: int) -> None:
+    lines = [Line(f"_{letter}: loss", ((0, 1.0), (1, 2.0))) for letter in "abc"[:count]]
+    svg = draw(lines, "loss", "name")
+    assert all(f">{line.label}<" in svg for line in lines)
 
 
 def test_runs_have_the_shortest_names_that_tell_them_apart() -> None:
