@@ -526,6 +526,44 @@ def test_a_report_of_several_lies_beside_the_first(
     assert page == f"{printed.format(there)}/report.html"
 
 
+def test_further_rollouts_stand_as_the_first_do(runs: Path, one: Path, tmp_path: Path) -> None:
+    """Those of a `RolloutMetrics` with a name."""
+    for ending in ("csv", "md", "png"):
+        shutil.copy(one / f"rollout_metrics.{ending}", one / f"rollout_metrics_in_motion.{ending}")
+    with (one / "rollout_metrics_in_motion.md").open("a") as file:
+        file.write("\nThe model's rollout of /simulation_0 came to rest.\n")
+    (one / "rollout_metrics_early.csv").write_text("")
+    page = report(one, output=tmp_path / "single")
+    assert "The model's rollout of /simulation_0 came to rest." in page.words
+    assert "one: rollout_metrics_early.csv cannot be read: it is empty." in page.words
+    after = f"after_{read_grid(one / 'rollout_metrics.csv').column('steps')[-1]}"
+    for name in ("", f"_{after}"):
+        first, further = (
+            rows(tmp_path / "single" / f"rollout_metrics{which}{name}.csv")
+            for which in ("", "_in_motion")
+        )
+        assert further == first
+    words = f"Every metric of the test's rollouts{{}} {after.replace('_', ' ')} steps"
+    for which in ("", " (in motion)"):
+        assert words.format(which) in page.words
+        assert f"Every metric of one{which} after each number of steps" in page.words
+        caption = f"one: Errors and energies of the test's rollouts{which} against time"
+        assert caption in [image["alt"] for image in page.all("img")]
+    # Beside another run that has none, which is no fault.
+    page = report(runs / "two", one, output=tmp_path / "several")
+    assert (tmp_path / "several" / f"rollout_metrics_in_motion_{after}.csv").is_file()
+    assert (tmp_path / "several" / "rollout_metrics_in_motion_one.csv").is_file()
+    assert words.format(" (in motion) of one") in page.words
+    assert "two has no rollout_metrics_in_motion" not in page.text
+    # Beside one that has them, a column each.
+    other = Path(shutil.copytree(one, one.with_name("other")))
+    table = other / "rollout_metrics_in_motion.csv"
+    table.write_text(table.read_text().replace("model,", "net,"))
+    report(one, other, output=tmp_path / "both")
+    header = rows(tmp_path / "both" / f"rollout_metrics_in_motion_{after}.csv")[0]
+    assert {"model, one", "net, other"} <= set(header)
+
+
 @pytest.mark.parametrize("count", [2, 3])
 def test_every_curve_is_in_the_legend(count: int) -> None:
     lines = [Line(f"_{letter}: loss", ((0, 1.0), (1, 2.0))) for letter in "abc"[:count]]
