@@ -6,18 +6,25 @@ import csv
 import re
 import shutil
 from base64 import b64decode
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
 from pathlib import Path
 
 import lightning
+import numpy as np
 import pytest
+import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.compat.tensorflow_stub.pywrap_tensorflow import crc32c as tensorboard_crc32c
 from torch.utils.tensorboard import SummaryWriter
 
 from fluidsnet.errors import UserError
 from fluidsnet.main import main
+from fluidsnet.report.curves import Line, draw
+from fluidsnet.report.event_file import crc32c, read_event_file
 from fluidsnet.report.events import read_history
-from fluidsnet.report.grid import Grid, shown, side_by_side
+from fluidsnet.report.grid import Grid, read_grid, shown, side_by_side
 from fluidsnet.report.run import names, read_runs
 from fluidsnet.report.settings import changed, differing, flat, shipped
 
@@ -82,6 +89,23 @@ trainer:
 """
 
 
+def fit(folder: Path, name: str, *more: str, configs: Sequence[str] = ()) -> None:
+    """Trains four steps on the sample and logs each, unless told otherwise."""
+    base = ("trainer.yaml", "model/paper.yaml", "data/sample.yaml")
+    main(
+        [
+            "fit", *(f"--config={CONFIGS / config}" for config in (*base, *configs)),
+            f"--data.init_args.root={ROOT / 'tests' / 'data' / 'dam_break'}",
+            "--trainer.max_steps=4", "--trainer.log_every_n_steps=1",
+            "--trainer.val_check_interval=2", "--trainer.limit_val_batches=1",
+            "--trainer.enable_progress_bar=false", "--trainer.accelerator=cpu",
+            f"--trainer.logger.init_args.save_dir={folder}",
+            f"--trainer.logger.init_args.name={name}", "--trainer.logger.init_args.version=",
+            *more,
+        ]
+    )  # fmt: skip
+
+
 def report(*runs: Path, output: Path) -> Page:
     main(["report", *map(str, runs), f"--output={output}"])
     return Page((output / "report.html").read_text())
@@ -94,27 +118,12 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     Only `two` rolls out while it trains.
     """
     folder = tmp_path_factory.mktemp("runs")
-    base = [
-        CONFIGS / "trainer.yaml",
-        CONFIGS / "model" / "paper.yaml",
-        CONFIGS / "data" / "sample.yaml",
-    ]
     rolls_out = folder / "rolls_out.yaml"
     rolls_out.write_text(ROLLS_OUT)
-    for name, more in (("one", []), ("two", [rolls_out, CONFIGS / "ablation" / "target.yaml"])):
-        configs = [f"--config={config}" for config in (*base, *more)]
-        main(
-            [
-                "fit", *configs,
-                f"--data.init_args.root={ROOT / 'tests' / 'data' / 'dam_break'}",
-                "--trainer.max_steps=4", "--trainer.log_every_n_steps=1",
-                "--trainer.val_check_interval=2", "--trainer.limit_val_batches=1",
-                "--trainer.enable_progress_bar=false", "--trainer.accelerator=cpu",
-                f"--model.init_args.optimizer.init_args.lr={0.003 if name == 'one' else 0.001}",
-                f"--trainer.logger.init_args.save_dir={folder}",
-                f"--trainer.logger.init_args.name={name}", "--trainer.logger.init_args.version=",
-            ]
-        )  # fmt: skip
+    rate = "--model.init_args.optimizer.init_args.lr={}"
+    fit(folder, "one", rate.format(0.003))
+    fit(folder, "two", rate.format(0.001), configs=[str(rolls_out), "ablation/target.yaml"])
+    for name in ("one", "two"):
         main(["test", f"--run={folder / name}", "--trainer.limit_test_batches=1"])
     main(["predict", f"--run={folder / 'one'}", "--data.init_args.rollout_steps=3"])
     return folder
@@ -202,6 +211,99 @@ def test_the_curves_are_those_of_the_training_alone(one: Path, tmp_path: Path) -
     assert curves["train/loss"][2] == (2, 7.0)
     assert curves["val/skill"] == history.curves["val/skill"][:1]
     assert "one: train/loss is not finite at step 3" in report(one, output=tmp_path / "r").text
+
+
+def test_a_training_that_is_repeated_leaves_nothing_of_the_one_before(one: Path) -> None:
+    first = read_history(one)
+    assert [step for step, _ in first.curves["train/loss"]] == [0, 1, 2, 3]
+    # Its first loss comes after its first validation.
+    more = ["--trainer.max_steps=3", "--trainer.log_every_n_steps=3"]
+    fit(one.parent, "one", *more, "--trainer.val_check_interval=1")
+    curves = read_history(one).curves
+    assert [step for step, _ in curves["train/loss"]] == [2]
+    assert [step for step, _ in curves["val/skill"]] == [0, 1, 2]
+    assert max(curve[-1][0] for curve in curves.values()) == 2
+
+
+def test_a_training_that_is_resumed_keeps_what_went_before(one: Path) -> None:
+    first = read_history(one).curves
+    checkpoint = one / "checkpoints" / "last.ckpt"
+    begin = torch.load(checkpoint, weights_only=False)["global_step"]
+    assert begin > 0
+    # At whatever step it is resumed, Lightning logs this at step 0.
+    logged = "--trainer.logger.init_args.default_hp_metric=true"
+    fit(one.parent, "one", "--trainer.max_steps=6", f"--ckpt_path={checkpoint}", logged)
+    curves = read_history(one).curves
+    assert curves["hp_metric"] == ((0, -1.0),)
+    assert [step for step, _ in curves["train/loss"]] == list(range(6))
+    for tag in ("train/loss", "val/skill"):
+        assert [point for point in curves[tag] if point[0] < begin] == [
+            point for point in first[tag] if point[0] < begin
+        ]
+
+
+def test_a_training_shorter_than_the_interval_of_its_losses_is_one(tmp_path: Path) -> None:
+    fit(tmp_path, "short", "--trainer.log_every_n_steps=5")
+    curves = read_history(tmp_path / "short").curves
+    assert "train/loss" not in curves
+    assert [step for step, _ in curves["val/skill"]] == [1, 3]
+    page = report(tmp_path / "short", output=tmp_path / "report")
+    assert "short has no train/loss: fluidsnet fit logs the loss after every" in page.text
+    # Skill and the loss of validation.
+    assert len(page.all("svg")) == 2
+
+
+def test_values_are_those_that_tensorboard_reads(runs: Path) -> None:
+    for path in runs.glob("*/events*"):
+        events = EventAccumulator(str(path), size_guidance={"scalars": 0})
+        events.Reload()
+        file = read_event_file(path)
+        assert file.flaw == ""
+        assert list(file.scalars) == events.Tags()["scalars"]
+        for tag, scalars in file.scalars.items():
+            expected = [(event.step, event.value, event.wall_time) for event in events.Scalars(tag)]
+            assert scalars == expected
+
+
+def test_a_byte_that_is_not_as_written_is_found_wherever_it_is(one: Path) -> None:
+    whole = read_history(one)
+    path = min(one.glob("events*"))
+    data = path.read_bytes()
+    size = int.from_bytes(data[:8], "little")
+    found = {}
+    # In the first record's length, its checksum, the event, its checksum, in others, at the end.
+    for place in (0, 8, 12, 12 + size, *range(size + 16, len(data), len(data) // 20), -1):
+        damaged = bytearray(data)
+        damaged[place] ^= 1
+        path.write_bytes(damaged)
+        history = read_history(one)
+        (sentence,) = history.unread
+        assert sentence.startswith(f"{path.name} is damaged")
+        for tag, curve in history.curves.items():
+            assert curve == whole.curves[tag][: len(curve)]
+        last = max((curve[-1][0] for curve in history.curves.values()), default=None)
+        if last is not None:
+            assert sentence.endswith(f": what followed a value at step {last} is missing.")
+        found[place] = history
+    assert found[0].unread == [f"{path.name} is damaged: no value precedes that."]
+    assert found[0].curves == {}
+    assert found[-1].curves == whole.curves
+
+
+@pytest.mark.parametrize("left", [1, 8, 11, 12, 20])
+def test_a_file_that_ends_within_a_record_is_told_from_a_damaged_one(left: int, one: Path) -> None:
+    path = min(one.glob("events*"))
+    path.write_bytes(path.read_bytes()[:left])
+    assert read_event_file(path).flaw == (
+        f"{path.name} ends within a record, as after its process was killed: no value precedes "
+        "that."
+    )
+
+
+@pytest.mark.parametrize("size", [0, 1, 1000])
+def test_the_checksum_is_that_of_tensorboard(size: int) -> None:
+    data = np.random.default_rng(size).integers(0, 256, size, dtype=np.uint8)
+    assert crc32c(data) == tensorboard_crc32c(data.tobytes())
 
 
 def test_settings_are_compared_with_what_is_shipped() -> None:
@@ -301,6 +403,7 @@ def test_what_is_missing_is_said_in_a_line(one: Path, tmp_path: Path) -> None:
     missing = sum(part.get("class") == "missing" for part in page.all("p"))
     # A glance, one step, rollouts, metrics, pictures, training, ablations.
     assert missing == 7
+    assert "one has no curves of a training" in page.text
     assert not page.all("svg") and not page.all("img")
     for words in ("one has no one_step.csv: fluidsnet test", "one has no pictures"):
         assert words in page.text
@@ -313,12 +416,30 @@ def test_files_that_are_damaged_are_named(one: Path, tmp_path: Path) -> None:
     event = min(one.glob("events*"))
     event.write_bytes(event.read_bytes()[:-20])
     (one / "events.out.tfevents.0").write_bytes(b"nonsense" * 100)
+    (one / "events.out.tfevents.1").mkdir()
     (one / "rollout.png").write_bytes(b"")
     page = report(one, output=tmp_path / "report")
     for name in ("config.yaml", "one_step.csv", "rollout.csv", "rollout.png"):
         assert f"{name} cannot be read" in page.text
+    for sentence in (
+        "events.out.tfevents.0 is damaged: no value precedes that.",
+        "events.out.tfevents.1 cannot be read: Is a directory.",
+        f"{event.name} ends within a record, as after its process was killed: what followed a "
+        "value at step 3 is missing.",
+    ):
+        assert f"one: {sentence}" in page.words
     # What was written before the damage is there.
     assert "train/loss" in page.words
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("", "it is empty"), ("\n\n", "it is empty"), ("a,b\n", "it is not a header and rows")],
+)
+def test_a_table_without_rows_is_none(text: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "table.csv").write_text(text)
+    with pytest.raises(ValueError, match=words):
+        read_grid(tmp_path / "table.csv")
 
 
 def test_a_name_is_text_and_not_markup(one: Path, tmp_path: Path) -> None:
@@ -360,6 +481,94 @@ def test_a_report_does_not_replace_a_runs_own_files(
     assert "choose another --output" in capsys.readouterr().err
     with pytest.raises(UserError, match="named twice"):
         read_runs([runs / "one", runs / "two" / ".." / "one"])
+
+
+@pytest.mark.parametrize("taken", ["report", "report/report.md/file"])
+def test_a_report_that_cannot_be_written_is_one_sentence(
+    taken: str, one: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / taken).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / taken).touch()
+    below = "/below" if taken == "report" else ""
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as end:
+        main(["report", str(one), f"--output={tmp_path / 'report'}{below}"])
+    assert end.value.code == 1
+    said = capsys.readouterr().err
+    assert "cannot be written" in said and "choose another --output" in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("where", "first", "other", "printed"),
+    [
+        ("", "one", "two", "report"),
+        ("one", ".", "../two", "{}/report"),
+        ("one/checkpoints", "..", "../../two", "{}/report"),
+    ],
+)
+def test_a_report_of_several_lies_beside_the_first(
+    where: str,
+    first: str,
+    other: str,
+    printed: str,
+    runs: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    there = shutil.copytree(runs, tmp_path / "runs")
+    monkeypatch.chdir(there / where)
+    main(["report", first, other])
+    assert (there / "report" / "report.html").is_file()
+    assert not (there / "one" / "report").exists()
+    page = capsys.readouterr().out.splitlines()[-2]
+    assert page == f"{printed.format(there)}/report.html"
+
+
+def test_further_rollouts_stand_as_the_first_do(runs: Path, one: Path, tmp_path: Path) -> None:
+    """Those of a `RolloutMetrics` with a name."""
+    for ending in ("csv", "md", "png"):
+        shutil.copy(one / f"rollout_metrics.{ending}", one / f"rollout_metrics_in_motion.{ending}")
+    with (one / "rollout_metrics_in_motion.md").open("a") as file:
+        file.write("\nThe model's rollout of /simulation_0 came to rest.\n")
+    (one / "rollout_metrics_early.csv").write_text("")
+    page = report(one, output=tmp_path / "single")
+    assert "The model's rollout of /simulation_0 came to rest." in page.words
+    assert "one: rollout_metrics_early.csv cannot be read: it is empty." in page.words
+    after = f"after_{read_grid(one / 'rollout_metrics.csv').column('steps')[-1]}"
+    for name in ("", f"_{after}"):
+        first, further = (
+            rows(tmp_path / "single" / f"rollout_metrics{which}{name}.csv")
+            for which in ("", "_in_motion")
+        )
+        assert further == first
+    words = f"Every metric of the test's rollouts{{}} {after.replace('_', ' ')} steps"
+    for which in ("", " (in motion)"):
+        assert words.format(which) in page.words
+        assert f"Every metric of one{which} after each number of steps" in page.words
+        caption = f"one: Errors and energies of the test's rollouts{which} against time"
+        assert caption in [image["alt"] for image in page.all("img")]
+    # Beside another run that has none, which is no fault.
+    page = report(runs / "two", one, output=tmp_path / "several")
+    assert (tmp_path / "several" / f"rollout_metrics_in_motion_{after}.csv").is_file()
+    assert (tmp_path / "several" / "rollout_metrics_in_motion_one.csv").is_file()
+    assert words.format(" (in motion) of one") in page.words
+    assert "two has no rollout_metrics_in_motion" not in page.text
+    # Beside one that has them, a column each.
+    other = Path(shutil.copytree(one, one.with_name("other")))
+    table = other / "rollout_metrics_in_motion.csv"
+    table.write_text(table.read_text().replace("model,", "net,"))
+    report(one, other, output=tmp_path / "both")
+    header = rows(tmp_path / "both" / f"rollout_metrics_in_motion_{after}.csv")[0]
+    assert {"model, one", "net, other"} <= set(header)
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_every_curve_is_in_the_legend(count: int) -> None:
+    lines = [Line(f"_{letter}: loss", ((0, 1.0), (1, 2.0))) for letter in "abc"[:count]]
+    svg = draw(lines, "loss", "name")
+    assert all(f">{line.label}<" in svg for line in lines)
 
 
 def test_runs_have_the_shortest_names_that_tell_them_apart() -> None:

@@ -16,7 +16,8 @@ def report_command(arguments: list[str]) -> None:
     """Writes the report and says where it is.
 
     Raises:
-        UserError: a folder is not one of a run, or the report would lie in one.
+        UserError: a folder is not one of a run, or the report would lie in one or cannot be
+            written.
     """
     parser = ArgumentParser(
         prog="fluidsnet report",
@@ -35,10 +36,23 @@ def report_command(arguments: list[str]) -> None:
     options = parser.parse_args(arguments)
     runs = read_runs(options.runs)
     first: Path = options.runs[0]
-    folder: Path = options.output or (first if len(runs) == 1 else first.parent) / "report"
-    if (folder / CONFIG).exists() or any(folder.glob(PATTERN)):
-        raise UserError(f"{folder} is the folder of a run; choose another --output.")
-    if folder.exists() and not folder.is_dir():
-        raise UserError(f"{folder} is a file; --output names a folder.")
-    print(write_report(compose(runs), folder))
+    folder: Path = options.output or (first if len(runs) == 1 else _parent(first)) / "report"
+    document = compose(runs)
+    try:
+        if (folder / CONFIG).exists() or any(folder.glob(PATTERN)):
+            raise UserError(f"{folder} is the folder of a run; choose another --output.")
+        if folder.exists() and not folder.is_dir():
+            raise UserError(f"{folder} is a file; --output names a folder.")
+        page = write_report(document, folder)
+    except OSError as error:
+        place = error.filename or folder
+        raise UserError(
+            f"{place} cannot be written: {error.strerror}; choose another --output."
+        ) from error
+    print(page)
     print(f"{folder}/report.md and *.csv hold the same tables.")
+
+
+def _parent(folder: Path) -> Path:
+    """The folder above; the paths ``.`` and ``..`` do not tell it by themselves."""
+    return (folder.resolve() if folder.name in ("", "..") else folder).parent

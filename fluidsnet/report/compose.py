@@ -33,7 +33,7 @@ def compose(runs: Sequence[Run]) -> Document:
     ]
     unread = [Note(f"{run.name}: {words}") for run in runs for words in run.unread]
     if unread:
-        sections.append(Section("Damaged files", [*unread]))
+        sections.append(Section("Files not read in full", [*unread]))
     where = ", ".join(str(run.folder) for run in runs)
     lead = f"{len(runs)} runs side by side: {where}." if several else f"From {where}."
     return Document(f"FluidsNet: {names}", lead, sections)

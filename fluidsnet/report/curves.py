@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import matplotlib
+from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
@@ -68,8 +69,9 @@ def draw(lines: Sequence[Line], label: str, name: str) -> str:
     with matplotlib.rc_context({**_STYLE, "svg.hashsalt": name}):
         figure = Figure(figsize=(4.5, 2.9), layout="constrained")
         axes = figure.add_subplot()
+        handles: list[Artist] = []
         for line in lines:
-            axes.plot(
+            handles += axes.plot(
                 [step for step, _ in line.curve],
                 [value if math.isfinite(value) else math.nan for _, value in line.curve],
                 color=_CURVES[line.color % len(_CURVES)],
@@ -78,7 +80,6 @@ def draw(lines: Sequence[Line], label: str, name: str) -> str:
                 # One value alone makes no line.
                 marker=_MARKERS[line.color % len(_MARKERS)] if _marked(line) else None,
                 markersize=4,
-                label=line.label,
             )
         values = [value for line in lines for value in finite(line.curve)]
         if values and min(values) > 0 and max(values) > 10 * min(values):
@@ -92,12 +93,14 @@ def draw(lines: Sequence[Line], label: str, name: str) -> str:
         axes.set_ylabel(label)
         axes.grid(alpha=0.2)
         axes.spines[["top", "right"]].set_visible(False)
+        # Named here, as a curve's own label is left out where it begins with "_".
+        labels = [line.label for line in lines]
         if len(lines) == 2:
-            axes.legend(fontsize=9)
+            axes.legend(handles, labels, fontsize=9)
         elif len(lines) > 2:
             # They would cover the curves.
             figure.set_figheight(2.9 + 0.2 * len(lines) / 2)
-            figure.legend(loc="outside lower center", ncols=2, fontsize=9)
+            figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=9)
         drawn = io.StringIO()
         figure.savefig(drawn, format="svg", transparent=True)
     return _for_page(drawn.getvalue(), name)

@@ -44,9 +44,12 @@ def read_grid(path: Path) -> Grid:
     """
     with path.open(newline="", encoding="utf-8") as file:
         try:
-            header, *rows = [row for row in csv.reader(file) if row]
+            cells = [row for row in csv.reader(file) if row]
         except csv.Error as error:
             raise ValueError(str(error)) from error
+    if not cells:
+        raise ValueError("it is empty")
+    header, *rows = cells
     if not rows or any(len(row) != len(header) for row in rows):
         raise ValueError("it is not a header and rows of as many cells")
     return Grid(tuple(header), tuple(tuple(map(_cell, row)) for row in rows))

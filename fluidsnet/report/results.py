@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from callbacks.table import Cell
 from fluidsnet.report.document import Note, Part, Picture, Section, Table
 from fluidsnet.report.grid import NONE, Grid, near, side_by_side
-from fluidsnet.report.run import TABLES, Run
+from fluidsnet.report.run import ROLLED, TABLES, Run
 from fluidsnet.report.training import best_of
 from fluidsnet.trivial import TRIVIAL
 
 _PICTURES = {
     "ablation.png": "The truth and every model against time; the lighter a particle, the faster",
     "rollout.png": "Truth and prediction side by side; the lighter a particle, the faster",
-    "rollout_metrics.png": "Errors and energies of the test's rollouts against time",
 }
 _TRIVIAL = tuple(name.replace("_", " ") for name in TRIVIAL)
 
@@ -53,20 +53,10 @@ def rollout_section(runs: Sequence[Run]) -> Section:
     section = Section("Rollouts")
     caption = "Mean particle error of the rollouts of predict"
     section.parts += _joined(runs, "rollout", caption)
-    full = [(run, run.tables["rollout_metrics"]) for run in runs if "rollout_metrics" in run.tables]
-    section.parts += _missing(runs, "rollout_metrics")
-    steps = [{cell for cell in _steps(grid) if isinstance(cell, int)} for _, grid in full]
-    common = set.intersection(*steps) if steps else set()
-    if common:
-        last = max(common)
-        pivots = {run.name: _after(grid, last) for run, grid in full}
-        caption = f"Every metric of the test's rollouts after {last} steps"
-        section.parts.append(Table(f"rollout_metrics_after_{last}", caption, side_by_side(pivots)))
-    for run, grid in full:
-        section.parts += [Note(words) for words in run.remarks["rollout_metrics"]]
-        name = "rollout_metrics" if len(runs) == 1 else f"rollout_metrics_{run.name}"
-        caption = f"Every metric of {run.name} after each number of steps"
-        section.parts.append(Table(name, caption, grid, folded=True))
+    section.parts += _missing(runs, ROLLED)
+    named = {table for run in runs for table in run.tables if table.startswith(f"{ROLLED}_")}
+    for table in (ROLLED, *sorted(named)):
+        section.parts += _measured(runs, table)
     return section
 
 
@@ -75,12 +65,17 @@ def picture_section(runs: Sequence[Run]) -> Section:
     section = Section("Pictures")
     for run in runs:
         for path in run.pictures:
-            words = _PICTURES.get(path.name, path.stem.replace("_", " "))
-            section.parts.append(Picture(f"{run.name}: {words}", path))
+            section.parts.append(Picture(f"{run.name}: {_shows(path)}", path))
         if not run.pictures:
             words = f"{run.name} has no pictures: fluidsnet predict --run {run.folder} draws one."
             section.parts.append(Note(words, missing=True))
     return section
+
+
+def _shows(picture: Path) -> str:
+    if picture.stem == ROLLED or picture.stem.startswith(f"{ROLLED}_"):
+        return f"Errors and energies of the test's rollouts{_which(picture.stem)} against time"
+    return _PICTURES.get(picture.name, picture.stem.replace("_", " "))
 
 
 _GLANCE = (
@@ -125,6 +120,33 @@ def _joined(runs: Sequence[Run], name: str, caption: str) -> list[Part]:
     grids = {run.name: run.tables[name] for run in runs if name in run.tables}
     parts: list[Part] = [Table(name, caption, side_by_side(grids))] if grids else []
     return [*parts, *_missing(runs, name)]
+
+
+def _measured(runs: Sequence[Run], table: str) -> list[Part]:
+    """Every metric after the most steps that all have, and folded after each number of steps."""
+    full = [(run, run.tables[table]) for run in runs if table in run.tables]
+    parts: list[Part] = []
+    steps = [{cell for cell in _steps(grid) if isinstance(cell, int)} for _, grid in full]
+    common = set.intersection(*steps) if steps else set()
+    if common:
+        last = max(common)
+        pivots = {run.name: _after(grid, last) for run, grid in full}
+        # A table of one alone does not name it.
+        whose = "" if len(full) == len(runs) else f" of {', '.join(pivots)}"
+        caption = f"Every metric of the test's rollouts{_which(table)}{whose} after {last} steps"
+        parts.append(Table(f"{table}_after_{last}", caption, side_by_side(pivots)))
+    for run, grid in full:
+        parts += [Note(words) for words in run.remarks[table]]
+        name = table if len(runs) == 1 else f"{table}_{run.name}"
+        caption = f"Every metric of {run.name}{_which(table)} after each number of steps"
+        parts.append(Table(name, caption, grid, folded=True))
+    return parts
+
+
+def _which(name: str) -> str:
+    """Which of the test's rollouts a table or picture is of, told by its name."""
+    words = name.removeprefix(ROLLED).removeprefix("_").replace("_", " ")
+    return f" ({words})" if words else ""
 
 
 def _missing(runs: Sequence[Run], name: str) -> list[Part]:

@@ -19,6 +19,8 @@ TABLES = {
     "rollout": "predict",
     "foreign_context": "test",
 }
+#: The test's rollouts, and further ones that a `RolloutMetrics` with a name measured.
+ROLLED = "rollout_metrics"
 CONFIG = "config.yaml"
 #: What each PNG file begins with.
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -34,10 +36,11 @@ class Run:
         config: its configuration; None where there is none that can be read.
         config_text: the same as it is in the file.
         history: of its training.
-        tables: by their names in `TABLES`; only those that are there.
+        tables: those that are there, by their names: of `TABLES`, and further ones that begin with
+            `ROLLED`.
         remarks: sentences below a table in its Markdown, by the table's name.
         pictures: PNG files in the folder.
-        unread: sentences, one for each file that is there and cannot be read.
+        unread: sentences, one for each file that is not whole or cannot be read.
     """
 
     name: str
@@ -95,9 +98,10 @@ def _check(folder: Path) -> None:
 
 def _read(folder: Path, name: str) -> Run:
     run = Run(name, folder, history=read_history(folder))
-    run.unread = [f"{file} cannot be read." for file in run.history.unread]
+    run.unread = [*run.history.unread]
     _read_config(run)
-    for table in TABLES:
+    further = sorted(path.stem for path in folder.glob(f"{ROLLED}_*.csv"))
+    for table in (*TABLES, *further):
         path = folder / f"{table}.csv"
         if path.exists():
             try:

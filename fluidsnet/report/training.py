@@ -22,8 +22,12 @@ def training_section(runs: Sequence[Run]) -> Section:
     """Loss, skill, learning rate and, where they were measured, rollouts over the steps."""
     section = Section("Training")
     for run in runs:
-        if not run.history.curves:
-            words = f"{run.name} has no TensorBoard events of a training."
+        if TRAINED not in run.history.curves:
+            what = TRAINED if run.history.curves else "curves of a training"
+            words = (
+                f"{run.name} has no {what}: fluidsnet fit logs the loss after every "
+                "trainer.log_every_n_steps steps, and none of a shorter training."
+            )
             section.parts.append(Note(words, missing=True))
     there = [run for run in runs if run.history.curves]
     charts = [
