@@ -96,11 +96,12 @@ def test_a_training_that_fails_is_said_and_takes_no_other_along(
     assert "1 of 2 runs are finished" in said.out
 
 
-def a_training(folder: Path, steps: int) -> Training:
+def a_training(folder: Path, steps: int, *more: str) -> Training:
     names = ("trainer.yaml", "model/paper.yaml", "data/sample.yaml", "study/ablations.yaml")
     arguments = [f"--trainer.max_steps={steps}", "--trainer.val_check_interval=2"]
     small = ["--trainer.limit_val_batches=1", "--data.init_args.sample_every=4"]
-    return Training(folder, [Path("configs", name) for name in names], [*arguments, *small], 1)
+    configs = [Path("configs", name) for name in names]
+    return Training(folder, configs, [*arguments, *small, *more], 1)
 
 
 def child_in(folder: Path) -> int:
@@ -113,6 +114,15 @@ def child_in(folder: Path) -> int:
             if f"--trainer.logger.init_args.save_dir={folder}" in words and father == os.getpid():
                 return int(place.name)
     raise AssertionError("no process trains")
+
+
+def test_a_fit_that_is_counted_in_epochs_must_keep_weights(tmp_path: Path) -> None:
+    short = "--trainer.limit_train_batches=2"
+    a_training(tmp_path / "one", -1, short, "--trainer.max_epochs=1").run("fit")
+    assert json.loads((tmp_path / "one" / NOTE).read_text())["done"] == ["fit"]
+    with pytest.raises(UserError, match="kept no weights"):
+        a_training(tmp_path / "none", -1, short, "--trainer.max_epochs=0").run("fit")
+    assert json.loads((tmp_path / "none" / NOTE).read_text())["done"] == []
 
 
 def test_weights_that_were_not_kept_are_missed(tmp_path: Path) -> None:

@@ -121,16 +121,20 @@ class Training:
 
     @property
     def _checkpoint(self) -> Path:
+        if not self._checkpoint.exists():
+            raise UserError(
+                f"fit of {self.folder} kept no weights: they are kept at validations, so it must "
+                "train for at least --trainer.val_check_interval steps."
+            )
         return self.folder / "checkpoints" / "last.ckpt"
+        # -1 where epochs say when it ends.
 
     def _check_checkpoint(self) -> None:
         """The last weights are what is tested."""
         config = yaml.safe_load((self.folder / "config.yaml").read_text())
         steps: int = config["trainer"]["max_steps"]
-        found = 0
-        if self._checkpoint.exists():
-            # Of this program's own making, and mapped: the weights are not read.
-            found = torch.load(self._checkpoint, mmap=True, weights_only=False)["global_step"]
+        # Of this program's own making, and mapped: the weights are not read.
+        found = torch.load(self._checkpoint, mmap=True, weights_only=False)["global_step"]
         if found < steps:
             raise UserError(
                 f"fit of {self.folder} kept the weights of step {found} of {steps}: they are kept "
