@@ -150,6 +150,37 @@ def test_a_fit_that_is_terminated_is_not_done(tmp_path: Path) -> None:
     assert json.loads((folder / NOTE).read_text())["done"] == []
 
 
+def test_what_another_process_did_meanwhile_is_kept(tmp_path: Path) -> None:
+    config = tmp_path / "study.yaml"
+    config.write_text("trainer: {max_steps: 1}")
+    folder = tmp_path / "run"
+    early = Training(folder, [config], [], 1)
+    with pytest.raises(UserError, match="failed"):
+        Training(folder, [config], [], 1).run("fit")
+    # As the other leaves it when it has trained and tested.
+    note = folder / NOTE
+    note.write_text(json.dumps({**json.loads(note.read_text()), "done": ["fit", "test"]}))
+    before = note.read_text()
+    early.run("fit")
+    early.run("test")
+    assert early.done
+    assert note.read_text() == before
+
+
+@pytest.mark.parametrize("words", ["", '{"arguments": [', "[]", "{}", '{"done": null}'])
+def test_a_damaged_note_is_one_sentence(words: str, tmp_path: Path) -> None:
+    (tmp_path / NOTE).write_text(words)
+    with pytest.raises(UserError, match=rf"{NOTE} is damaged; name another --output, or delete"):
+        Training(tmp_path, [], [], 1)
+
+
+def test_weights_of_an_unknown_training_are_not_gone_on_with(tmp_path: Path) -> None:
+    (tmp_path / "checkpoints").mkdir()
+    (tmp_path / "checkpoints" / "last.ckpt").touch()
+    with pytest.raises(UserError, match=f"holds weights but no {NOTE}"):
+        Training(tmp_path, [], [], 1)
+
+
 def test_a_changed_config_is_another_training(tmp_path: Path) -> None:
     config = tmp_path / "study.yaml"
     config.write_text("trainer: {max_steps: 1}")
