@@ -203,6 +203,13 @@ def test_a_changed_config_is_another_training(tmp_path: Path) -> None:
         (['--runs=[{"scene": "lake", "strides": [1], "seeds": [0]}]'], "data/lake.yaml is missing"),
         (["--configs=nowhere"], "nowhere/trainer.yaml is missing"),
         (["--steps=3"], "steps"),
+        (['--fit=["--config=my.yaml"]'], "not --config=my.yaml; files belong in the folder of"),
+        (['--fit=["-c", "my.yaml"]'], "not -c; files belong in the folder of"),
+        (['--fit=["--data=my.yaml"]'], "not --data=my.yaml; files belong in the folder of"),
+        (['--fit=["--seed_everything=1"]'], "takes single settings such as"),
+        (['--fit=["--data.init_args.root=here"]'], "has its data is said in configs/data"),
+        (['--fit=["--data.init_args.root", "here"]'], "has its data is said in configs/data"),
+        (['--fit=["--data.root=here"]'], "has its data is said in configs/data"),
     ],
 )
 def test_what_cannot_be_run_is_one_sentence(
