@@ -104,7 +104,7 @@ def ablations_command(arguments: list[str]) -> None:
         UserError: an option cannot be used, or a training failed; the others go on.
     """
     parser = _parser()
-    values = vars(parser.instantiate_classes(parser.parse_args(arguments)))
+    values = vars(parser.instantiate(parser.parse_args(arguments)))
     options = AblationsOptions(**{name: of for name, of in values.items() if name != "config"})
     trainings = _trainings(options)
     for scene in dict.fromkeys(run.scene for run in trainings):
