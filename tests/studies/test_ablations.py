@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+import yaml
 
 from fluidsnet.errors import UserError
 from fluidsnet.main import main
@@ -132,7 +134,13 @@ def test_weights_that_were_not_kept_are_missed(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "run" / NOTE).read_text())["done"] == []
 
 
-def test_a_fit_that_is_terminated_is_not_done(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("number", "sentence"),
+    [(signal.SIGTERM, "terminated"), (signal.SIGKILL, "was killed by signal 9")],
+)
+def test_a_fit_that_is_ended_from_outside_is_not_done(
+    tmp_path: Path, number: signal.Signals, sentence: str
+) -> None:
     folder = tmp_path / "run"
     run = a_training(folder, 5000)
     with ThreadPoolExecutor(1) as pool:
@@ -144,8 +152,8 @@ def test_a_fit_that_is_terminated_is_not_done(tmp_path: Path) -> None:
         # Meanwhile nobody else trains there.
         with pytest.raises(UserError, match="by another process; wait for it"):
             a_training(folder, 5000).run("fit")
-        os.kill(child_in(tmp_path), signal.SIGTERM)
-        with pytest.raises(UserError, match="terminated"):
+        os.kill(child_in(tmp_path), number)
+        with pytest.raises(UserError, match=sentence):
             waiting.result(timeout=60)
     assert json.loads((folder / NOTE).read_text())["done"] == []
 
@@ -179,6 +187,26 @@ def test_weights_of_an_unknown_training_are_not_gone_on_with(tmp_path: Path) -> 
     (tmp_path / "checkpoints" / "last.ckpt").touch()
     with pytest.raises(UserError, match=f"holds weights but no {NOTE}"):
         Training(tmp_path, [], [], 1)
+
+
+@pytest.mark.usefixtures("real_solver")
+def test_missing_data_are_simulated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    configs, root = tmp_path / "configs", tmp_path / "data"
+    shutil.copytree(ROOT / "configs", configs)
+    scene = yaml.safe_load((configs / "scene" / "sample.yaml").read_text())
+    scene["recipe"] |= {"train": 1, "frames": 2}
+    (configs / "scene" / "puddle.yaml").write_text(yaml.safe_dump(scene))
+    data = yaml.safe_load((configs / "data" / "sample.yaml").read_text())
+    data["data"]["init_args"]["root"] = str(root)
+    (configs / "data" / "puddle.yaml").write_text(yaml.safe_dump(data))
+    # A stride of more frames than there are: the training ends where it reads the data.
+    runs = json.dumps([{"scene": "puddle", "strides": [9], "seeds": [0]}])
+    words = ["ablations", f"--runs={runs}", f"--configs={configs}", f"--output={tmp_path / 'out'}"]
+    with pytest.raises(SystemExit, match="1"):
+        main(words)
+    said = capsys.readouterr()
+    assert f"{root} holds train.h5, val.h5, test.h5." in said.out
+    assert "no sample for train" in said.err
 
 
 def test_a_changed_config_is_another_training(tmp_path: Path) -> None:
