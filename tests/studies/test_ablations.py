@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+import yaml
 
 from fluidsnet.errors import UserError
 from fluidsnet.main import main
@@ -96,11 +98,12 @@ def test_a_training_that_fails_is_said_and_takes_no_other_along(
     assert "1 of 2 runs are finished" in said.out
 
 
-def a_training(folder: Path, steps: int) -> Training:
+def a_training(folder: Path, steps: int, *more: str) -> Training:
     names = ("trainer.yaml", "model/paper.yaml", "data/sample.yaml", "study/ablations.yaml")
     arguments = [f"--trainer.max_steps={steps}", "--trainer.val_check_interval=2"]
     small = ["--trainer.limit_val_batches=1", "--data.init_args.sample_every=4"]
-    return Training(folder, [Path("configs", name) for name in names], [*arguments, *small], 1)
+    configs = [Path("configs", name) for name in names]
+    return Training(folder, configs, [*arguments, *small, *more], 1)
 
 
 def child_in(folder: Path) -> int:
@@ -115,6 +118,15 @@ def child_in(folder: Path) -> int:
     raise AssertionError("no process trains")
 
 
+def test_a_fit_that_is_counted_in_epochs_must_keep_weights(tmp_path: Path) -> None:
+    short = "--trainer.limit_train_batches=2"
+    a_training(tmp_path / "one", -1, short, "--trainer.max_epochs=1").run("fit")
+    assert json.loads((tmp_path / "one" / NOTE).read_text())["done"] == ["fit"]
+    with pytest.raises(UserError, match="kept no weights"):
+        a_training(tmp_path / "none", -1, short, "--trainer.max_epochs=0").run("fit")
+    assert json.loads((tmp_path / "none" / NOTE).read_text())["done"] == []
+
+
 def test_weights_that_were_not_kept_are_missed(tmp_path: Path) -> None:
     run = a_training(tmp_path / "run", 3)
     with pytest.raises(UserError, match="kept the weights of step 2 of 3"):
@@ -122,7 +134,13 @@ def test_weights_that_were_not_kept_are_missed(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "run" / NOTE).read_text())["done"] == []
 
 
-def test_a_fit_that_is_terminated_is_not_done(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("number", "sentence"),
+    [(signal.SIGTERM, "terminated"), (signal.SIGKILL, "was killed by signal 9")],
+)
+def test_a_fit_that_is_ended_from_outside_is_not_done(
+    tmp_path: Path, number: signal.Signals, sentence: str
+) -> None:
     folder = tmp_path / "run"
     run = a_training(folder, 5000)
     with ThreadPoolExecutor(1) as pool:
@@ -134,10 +152,61 @@ def test_a_fit_that_is_terminated_is_not_done(tmp_path: Path) -> None:
         # Meanwhile nobody else trains there.
         with pytest.raises(UserError, match="by another process; wait for it"):
             a_training(folder, 5000).run("fit")
-        os.kill(child_in(tmp_path), signal.SIGTERM)
-        with pytest.raises(UserError, match="terminated"):
+        os.kill(child_in(tmp_path), number)
+        with pytest.raises(UserError, match=sentence):
             waiting.result(timeout=60)
     assert json.loads((folder / NOTE).read_text())["done"] == []
+
+
+def test_what_another_process_did_meanwhile_is_kept(tmp_path: Path) -> None:
+    config = tmp_path / "study.yaml"
+    config.write_text("trainer: {max_steps: 1}")
+    folder = tmp_path / "run"
+    early = Training(folder, [config], [], 1)
+    with pytest.raises(UserError, match="failed"):
+        Training(folder, [config], [], 1).run("fit")
+    # As the other leaves it when it has trained and tested.
+    note = folder / NOTE
+    note.write_text(json.dumps({**json.loads(note.read_text()), "done": ["fit", "test"]}))
+    before = note.read_text()
+    early.run("fit")
+    early.run("test")
+    assert early.done
+    assert note.read_text() == before
+
+
+@pytest.mark.parametrize("words", ["", '{"arguments": [', "[]", "{}", '{"done": null}'])
+def test_a_damaged_note_is_one_sentence(words: str, tmp_path: Path) -> None:
+    (tmp_path / NOTE).write_text(words)
+    with pytest.raises(UserError, match=rf"{NOTE} is damaged; name another --output, or delete"):
+        Training(tmp_path, [], [], 1)
+
+
+def test_weights_of_an_unknown_training_are_not_gone_on_with(tmp_path: Path) -> None:
+    (tmp_path / "checkpoints").mkdir()
+    (tmp_path / "checkpoints" / "last.ckpt").touch()
+    with pytest.raises(UserError, match=f"holds weights but no {NOTE}"):
+        Training(tmp_path, [], [], 1)
+
+
+@pytest.mark.usefixtures("real_solver")
+def test_missing_data_are_simulated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    configs, root = tmp_path / "configs", tmp_path / "data"
+    shutil.copytree(ROOT / "configs", configs)
+    scene = yaml.safe_load((configs / "scene" / "sample.yaml").read_text())
+    scene["recipe"] |= {"train": 1, "frames": 2}
+    (configs / "scene" / "puddle.yaml").write_text(yaml.safe_dump(scene))
+    data = yaml.safe_load((configs / "data" / "sample.yaml").read_text())
+    data["data"]["init_args"]["root"] = str(root)
+    (configs / "data" / "puddle.yaml").write_text(yaml.safe_dump(data))
+    # A stride of more frames than there are: the training ends where it reads the data.
+    runs = json.dumps([{"scene": "puddle", "strides": [9], "seeds": [0]}])
+    words = ["ablations", f"--runs={runs}", f"--configs={configs}", f"--output={tmp_path / 'out'}"]
+    with pytest.raises(SystemExit, match="1"):
+        main(words)
+    said = capsys.readouterr()
+    assert f"{root} holds train.h5, val.h5, test.h5." in said.out
+    assert "no sample for train" in said.err
 
 
 def test_a_changed_config_is_another_training(tmp_path: Path) -> None:
@@ -162,6 +231,13 @@ def test_a_changed_config_is_another_training(tmp_path: Path) -> None:
         (['--runs=[{"scene": "lake", "strides": [1], "seeds": [0]}]'], "data/lake.yaml is missing"),
         (["--configs=nowhere"], "nowhere/trainer.yaml is missing"),
         (["--steps=3"], "steps"),
+        (['--fit=["--config=my.yaml"]'], "not --config=my.yaml; files belong in the folder of"),
+        (['--fit=["-c", "my.yaml"]'], "not -c; files belong in the folder of"),
+        (['--fit=["--data=my.yaml"]'], "not --data=my.yaml; files belong in the folder of"),
+        (['--fit=["--seed_everything=1"]'], "takes single settings such as"),
+        (['--fit=["--data.init_args.root=here"]'], "has its data is said in configs/data"),
+        (['--fit=["--data.init_args.root", "here"]'], "has its data is said in configs/data"),
+        (['--fit=["--data.root=here"]'], "has its data is said in configs/data"),
     ],
 )
 def test_what_cannot_be_run_is_one_sentence(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -24,6 +25,9 @@ from fluidsnet.studies.parser import Parser, study_parser
 #: Of `configs`, in the order they are composed; the scene's data come after the second.
 BEFORE = ("trainer.yaml", "model/paper.yaml")
 AFTER = ("study/ablations.yaml", "ablation/target.yaml", "ablation/global_feature.yaml")
+#: Options of `fluidsnet fit` without a dot: whole sections, files, and what the study sets itself.
+_WHOLE = re.compile(r"-[a-z]|--\w+(=|$)")
+_ROOT = re.compile(r"--data\.(root|init_args|init_args\.root)(=|$)")
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,7 @@ class AblationsOptions:
 
     Attributes:
         runs: scenes, each with its strides and seeds; those of docs/ablations.md by default.
-        fit: more options of `fluidsnet fit` for all of them, such as
+        fit: more settings of `fluidsnet fit` for all of them, such as
             ["--trainer.max_steps=100"]; weights are kept every 100 steps.
         configs: the folder of the configs.
         jobs: trainings at once; on the CPU they share its cores. 1 where there is one GPU.
@@ -76,6 +80,18 @@ class AblationsOptions:
                 raise UserError(f"--runs: {of.scene} needs strides from 1 on, and seeds.")
         if not self.runs:
             raise UserError("--runs names no scene.")
+        for word in self.fit:
+            # A training's note does not know of files named here, and they could name other data.
+            if _WHOLE.match(word):
+                raise UserError(
+                    f"--fit takes single settings such as --trainer.max_steps=100, not {word}; "
+                    "files belong in the folder of --configs."
+                )
+            if _ROOT.match(word):
+                raise UserError(
+                    f"--fit has {word}, for all scenes; where each has its data is said in "
+                    f"{self.configs}/data."
+                )
         for name in (*BEFORE, *AFTER, *(f"data/{of.scene}.yaml" for of in self.runs)):
             if not (Path(self.configs) / name).is_file():
                 raise UserError(f"{self.configs}/{name} is missing; --configs names the folder.")
@@ -88,7 +104,7 @@ def ablations_command(arguments: list[str]) -> None:
         UserError: an option cannot be used, or a training failed; the others go on.
     """
     parser = _parser()
-    values = vars(parser.instantiate_classes(parser.parse_args(arguments)))
+    values = vars(parser.instantiate(parser.parse_args(arguments)))
     options = AblationsOptions(**{name: of for name, of in values.items() if name != "config"})
     trainings = _trainings(options)
     for scene in dict.fromkeys(run.scene for run in trainings):

@@ -1,4 +1,4 @@
-"""One finished training of a study."""
+"""One training of a study: which it is, and where."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class TrainedRun:
-    """One finished training, with its twins.
+    """A training with its twins, whether it has run or not.
 
     Attributes:
         scene: its name.
         stride: frames of the data a step of the network.
         seed: of the weights and of the batches' order.
-        folder: the run's, tested.
+        folder: where it lies once it is trained and tested.
     """
 
     scene: str

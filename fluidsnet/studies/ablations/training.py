@@ -36,7 +36,7 @@ class Training:
         threads: of each process.
 
     Raises:
-        UserError: the folder holds another training.
+        UserError: the folder holds another training, or one that it does not say of what.
     """
 
     STAGES = ("fit", "test")
@@ -48,20 +48,13 @@ class Training:
         self.arguments = [*(f"--config={config}" for config in configs), *arguments]
         self._what = {
             "arguments": self.arguments,
+            # All that are read: a `base` would be the first one's, and trainer.yaml has none.
             "configs": {
                 str(config): hashlib.sha256(config.read_bytes()).hexdigest() for config in configs
             },
         }
         self._note = folder / NOTE
-        self._done: list[str] = []
-        if self._note.exists():
-            known = json.loads(self._note.read_text())
-            if any(known[name] != value for name, value in self._what.items()):
-                raise UserError(
-                    f"{folder} was trained with other options or configs; name another --output, "
-                    "or delete it."
-                )
-            self._done = known["done"]
+        self._done = self._read()
 
     @property
     def done(self) -> bool:
@@ -72,12 +65,15 @@ class Training:
         """Runs a stage, unless it is done.
 
         Raises:
-            UserError: it ended badly, and its last words say why; or another process runs it.
+            UserError: it ended badly, and its last words say why; or another process runs it,
+                or has run another training in the folder.
         """
-        if stage in self._done:
-            return
         self.folder.mkdir(parents=True, exist_ok=True)
         with self._alone() as lock:
+            # Another process may have been here meanwhile.
+            self._done = self._read()
+            if stage in self._done:
+                return
             self._keep()
             log = self.folder / f"{stage}.log"
             with log.open("wb") as words:
@@ -125,12 +121,16 @@ class Training:
 
     def _check_checkpoint(self) -> None:
         """The last weights are what is tested."""
+        if not self._checkpoint.exists():
+            raise UserError(
+                f"fit of {self.folder} kept no weights: they are kept at validations, so it must "
+                "train for at least --trainer.val_check_interval steps."
+            )
         config = yaml.safe_load((self.folder / "config.yaml").read_text())
+        # -1 where epochs say when it ends.
         steps: int = config["trainer"]["max_steps"]
-        found = 0
-        if self._checkpoint.exists():
-            # Of this program's own making, and mapped: the weights are not read.
-            found = torch.load(self._checkpoint, mmap=True, weights_only=False)["global_step"]
+        # Of this program's own making, and mapped: the weights are not read.
+        found = torch.load(self._checkpoint, mmap=True, weights_only=False)["global_step"]
         if found < steps:
             raise UserError(
                 f"fit of {self.folder} kept the weights of step {found} of {steps}: they are kept "
@@ -155,6 +155,28 @@ class Training:
         # Of both, or those of one wait for those of the other.
         threads = dict.fromkeys(("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), str(self.threads))
         return {**os.environ, **threads}
+
+    def _read(self) -> list[str]:
+        """The stages that the note says are done; none where nothing was trained."""
+        otherwise = "name another --output, or delete it."
+        if not self._note.exists():
+            if self._checkpoint.exists():
+                raise UserError(
+                    f"{self.folder} holds weights but no {NOTE}, which says of what training; "
+                    f"{otherwise}"
+                )
+            return []
+        try:
+            known = json.loads(self._note.read_text())
+        except (OSError, ValueError):
+            known = None
+        if not isinstance(known, dict) or not isinstance(known.get("done"), list):
+            raise UserError(
+                f"{self._note} is damaged; name another --output, or delete {self.folder}."
+            )
+        if any(known.get(name) != value for name, value in self._what.items()):
+            raise UserError(f"{self.folder} was trained with other options or configs; {otherwise}")
+        return [stage for stage in self.STAGES if stage in known["done"]]
 
     def _keep(self) -> None:
         """Writes the note; whole, or not at all."""
