@@ -7,14 +7,12 @@ from lightning import Callback, LightningModule, Trainer
 from torch import distributed
 
 from callbacks.folder import rollout_file, run_folder
+from callbacks.rollout_scalars import logged_steps
 from callbacks.table import Cell, write_table
 from fluidsnet.export.vtkhdf import read_field_data
 from fluidsnet.metrics.rollout_errors import RolloutErrors
 from fluidsnet.particles import RolloutStart
 from fluidsnet.rollout import RolloutObserver
-
-#: Numbers of steps that have a row, beside the last step.
-STEPS = (1, 2, 5, 10, 25, 50, 100)
 
 
 class RolloutTable(Callback, RolloutObserver):
@@ -60,7 +58,7 @@ class RolloutTable(Callback, RolloutObserver):
         columns = [read_field_data(rollout_file(self._folder, name)) for name in names]
         longest = max((_compared(column) for column in columns), default=0)
         rows: list[list[Cell]] = []
-        for step in sorted({*STEPS, longest}):
+        for step in logged_steps(longest):
             there = [column for column in columns if 0 < step <= _compared(column)]
             if not there:
                 continue

@@ -12,17 +12,15 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import lightning
-import numpy as np
 import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from tensorboard.compat.tensorflow_stub.pywrap_tensorflow import crc32c as tensorboard_crc32c
 from torch.utils.tensorboard import SummaryWriter
 
 from fluidsnet.errors import UserError
 from fluidsnet.main import main
 from fluidsnet.report.curves import Line, draw
-from fluidsnet.report.event_file import crc32c, read_event_file
+from fluidsnet.report.event_file import read_event_file
 from fluidsnet.report.events import read_history
 from fluidsnet.report.grid import Grid, read_grid, shown, side_by_side
 from fluidsnet.report.run import names, read_runs
@@ -298,12 +296,6 @@ def test_a_file_that_ends_within_a_record_is_told_from_a_damaged_one(left: int, 
         f"{path.name} ends within a record, as after its process was killed: no value precedes "
         "that."
     )
-
-
-@pytest.mark.parametrize("size", [0, 1, 1000])
-def test_the_checksum_is_that_of_tensorboard(size: int) -> None:
-    data = np.random.default_rng(size).integers(0, 256, size, dtype=np.uint8)
-    assert crc32c(data) == tensorboard_crc32c(data.tobytes())
 
 
 def test_settings_are_compared_with_what_is_shipped() -> None:

@@ -16,8 +16,9 @@ class Auto(NeighborSearch):
     """`CellListCPU` on the CPU, `CellList` on every other device.
 
     On two cores `CellListCPU` was 3 times faster than `TorchCluster` for 50 particles, 10
-    times for 5,000 and about 30 times for 618,043, so it is taken for any number. On a GPU
-    nothing was measured: for few particles the quadratic search of `TorchCluster` may win there.
+    times for 5,000 and 16 to 49 times for 618,075, by the order of the rows, so it is taken for any
+    number. On a GPU nothing was measured: for few particles the quadratic search of `TorchCluster`
+    may win there.
 
     Args:
         k: the most neighbors a particle has.

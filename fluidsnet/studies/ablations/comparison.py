@@ -16,7 +16,7 @@ from fluidsnet.studies.ablations.numbers import (
 )
 from fluidsnet.studies.ablations.ratio import Ratio
 
-#: What is compared of rollouts, after their last step.
+#: What is compared of rollouts from rest, after their last step.
 _ROLLOUT = ("position_error mm", "chamfer mm")
 
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from callbacks.rollout_curves import COLORS, TWIN_COLORS
 from fluidsnet.studies.ablations.group import Group
-from fluidsnet.studies.ablations.numbers import ACCELERATION, MODEL, WITHOUT
+from fluidsnet.studies.ablations.numbers import ACCELERATION, MODEL, MOTION, WITHOUT
 
 _COLORS = {
     MODEL: COLORS["model"],
@@ -31,18 +31,16 @@ _ENERGY = "kinetic_energy J/kg"
 _ENERGIES = 3.0
 
 
-def draw_figures(folder: Path, groups: Sequence[Group]) -> list[str]:
+def draw_figures(folder: Path, groups: Sequence[Group]) -> None:
     """Draws ``target.png``, ``global_feature.png`` and ``global_feature_energy.png``.
 
-    The first two correspond to the paper's figures 11 and 12: both models' `velocity_mse` on the
-    validation split against the training step. The third is what figure 12 shows, in numbers.
+    The first corresponds to the paper's figure 11: both models' `velocity_mse` on the validation
+    split against the training step. The second is the same with and without the global feature;
+    the third is what figure 12 shows, in numbers.
 
     Args:
         folder: that they are written into.
         groups: the runs; one at least.
-
-    Returns:
-        the names of the files.
     """
     drawn = {
         "target.png": target_figure(groups),
@@ -52,7 +50,6 @@ def draw_figures(folder: Path, groups: Sequence[Group]) -> list[str]:
     folder.mkdir(parents=True, exist_ok=True)
     for name, figure in drawn.items():
         figure.savefig(folder / name)
-    return list(drawn)
 
 
 def target_figure(groups: Sequence[Group]) -> Figure:
@@ -66,7 +63,7 @@ def context_figure(groups: Sequence[Group]) -> Figure:
 
 
 def energy_figure(groups: Sequence[Group]) -> Figure:
-    """Kinetic energy of the rollouts with and without the global feature, and of the truth.
+    """Kinetic energy of rollouts in motion, with and without the global feature, and the truth's.
 
     A panel's title says what is beyond its axis, which ends at three times the truth's most.
     """
@@ -137,6 +134,8 @@ def _training(axes: Axes, group: Group, who: Mapping[str, str]) -> list[str]:
             label="better trivial predictor",
         )
     axes.set(xlabel="training step", ylabel="validation velocity_mse, m²/s²", yscale="log")
+    # Within a decade there may be no line between two powers of ten.
+    axes.grid(which="minor", axis="y", alpha=0.15)
     return []
 
 
@@ -146,7 +145,8 @@ def _energy(axes: Axes, group: Group, who: Mapping[str, str]) -> list[str]:
         curves: list[Points] = []
         for run in group.runs:
             found = (
-                (time, run.rollout(name, steps, _ENERGY)) for steps, time in run.times().items()
+                (time, run.rollout(name, steps, _ENERGY, MOTION))
+                for steps, time in run.times(MOTION).items()
             )
             curves.append([(time, value) for time, value in found if value is not None])
         _lines(axes, curves, name, label, marker="o")
@@ -158,7 +158,7 @@ def _energy(axes: Axes, group: Group, who: Mapping[str, str]) -> list[str]:
     beyond = [name for name in who if most[name] > limit]
     notes += [f"{who[name]}: up to {most[name]:.3g} J/kg" for name in beyond]
     axes.set_ylim(0, 1.08 * min(limit, max(most.values())) or None)
-    axes.set(xlabel="time, s", ylabel="kinetic energy of the rollout, J/kg")
+    axes.set(xlabel="time since the start, s", ylabel="kinetic energy of the rollout, J/kg")
     return notes
 
 

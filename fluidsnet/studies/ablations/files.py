@@ -8,6 +8,7 @@ from pathlib import Path
 from callbacks.table import Cell, write_csv
 from fluidsnet.studies.ablations.comparison import Comparison
 from fluidsnet.studies.ablations.group import Group
+from fluidsnet.studies.ablations.numbers import STARTS
 from fluidsnet.studies.ablations.tables import ONE_STEP, ONE_STEP_ROWS, ROLLOUT, ROLLOUT_ROWS
 
 _RUN = ("scene", "stride", "seed")
@@ -34,10 +35,12 @@ def write_files(
             for who in ONE_STEP_ROWS:
                 values = [run.one_step(who, column) for column in ONE_STEP]
                 _add(one_step, [*start, _words(who)], values)
-            for moment in group.moments():
-                for who in ROLLOUT_ROWS:
-                    row = [*start, _words(who), moment.steps, moment.time]
-                    _add(rollouts, row, [run.rollout(who, moment.steps, name) for name in ROLLOUT])
+            for table, words in STARTS.items():
+                for moment in group.moments(table):
+                    for who in ROLLOUT_ROWS:
+                        values = [run.rollout(who, moment.steps, name, table) for name in ROLLOUT]
+                        row = [*start, words, _words(who), moment.steps, moment.time]
+                        _add(rollouts, row, values)
     tables = {
         "ablations.csv": (
             ("twin", "scene", "stride", "figure", "seeds", "twin / model", "from", "to",
@@ -46,7 +49,7 @@ def write_files(
         ),
         "ablations_one_step.csv": ((*_RUN, "predictor", *ONE_STEP), one_step),
         "ablations_rollouts.csv": (
-            (*_RUN, "predictor", "steps", "time s", *ROLLOUT.values()), rollouts,
+            (*_RUN, "start", "predictor", "steps", "time s", *ROLLOUT.values()), rollouts,
         ),
     }  # fmt: skip
     for name, (header, rows) in tables.items():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from fluidsnet.studies.ablations.numbers import Lookup, Numbers
+from fluidsnet.studies.ablations.numbers import REST, Lookup, Numbers
 
 #: The time in s at which rollouts are looked at, beside their end.
 MIDDLE = 0.25
@@ -13,7 +13,7 @@ MIDDLE = 0.25
 
 @dataclass(frozen=True)
 class Moment:
-    """A row of `rollout_metrics.csv`.
+    """A row of a table of rollouts.
 
     Attributes:
         steps: of the network.
@@ -61,9 +61,13 @@ class Group:
         found = (number(run) for run in self.runs)
         return [value for value in found if value is not None]
 
-    def moments(self) -> list[Moment]:
-        """That near `MIDDLE`, where there is one before the end, and the end."""
-        rows = {steps: time for run in self.runs for steps, time in run.times().items()}
+    def moments(self, start: str = REST) -> list[Moment]:
+        """That near `MIDDLE`, where there is one before the end, and the end.
+
+        Args:
+            start: the table of the rollouts.
+        """
+        rows = {steps: time for run in self.runs for steps, time in run.times(start).items()}
         known = [Moment(steps, time) for steps, time in sorted(rows.items())]
         before = sorted(known[:-1], key=lambda moment: abs(moment.time - MIDDLE))
         return [*before[:1], *known[-1:]]

@@ -19,8 +19,12 @@ LABELS = {
     ACCELERATION: "acceleration target",
     WITHOUT: "without global feature",
 }
+#: Tables of a run's rollouts: from the first frame, and from one in which the fluid is fast.
+REST, MOTION = "rollout_metrics", "rollout_metrics_in_motion"
+#: Names for a reader.
+STARTS = {REST: "from rest", MOTION: "in motion"}
 #: Tables of a run that the study is read from.
-_READ = ("one_step", "rollout_metrics", "foreign_context")
+_READ = ("one_step", *STARTS, "foreign_context")
 
 
 @dataclass(frozen=True)
@@ -39,18 +43,14 @@ class Numbers:
         """A number of `one_step.csv`."""
         return self._find("one_step", {"one step ahead": who.replace("_", " ")}, column)
 
-    def rollout(self, who: str, steps: int, column: str) -> float | None:
-        """A number of `rollout_metrics.csv`."""
+    def rollout(self, who: str, steps: int, column: str, start: str = REST) -> float | None:
+        """A number of a table in `STARTS`."""
         row: dict[str, Cell] = {"predictor": who.replace("_", " "), "steps": steps}
-        return self._find("rollout_metrics", row, column)
+        return self._find(start, row, column)
 
-    def times(self) -> dict[int, float]:
-        """Time in s by number of steps, of the rows of `rollout_metrics.csv`."""
-        grid = self.run.tables.get("rollout_metrics")
-        if grid is None or not {"steps", "time s"} <= set(grid.header):
-            return {}
-        rows = zip(grid.column("steps"), grid.column("time s"), strict=True)
-        return {int(steps): float(time) for steps, time in rows}
+    def times(self, start: str = REST) -> dict[int, float]:
+        """Time in s by number of steps, of the rows of a table in `STARTS` that have both."""
+        return dict(time for time in self._times(start) if time is not None)
 
     @property
     def time_step(self) -> float | None:
@@ -93,9 +93,28 @@ class Numbers:
         """Sentences, one for each file that is not there or cannot be read."""
         place = f"{self.trained.scene}, stride {self.trained.stride}, seed {self.trained.seed}"
         absent = [f"there is no {name}.csv." for name in _READ if name not in self.run.tables]
+        absent += [
+            f"{start}.csv has rows without steps or time; they are left out."
+            for start in STARTS
+            if None in self._times(start)
+        ]
         if not self.curve("velocity_mse", MODEL):
             absent.append("no validation was logged.")
         return [f"{place}: {sentence}" for sentence in (*self.run.unread, *absent)]
+
+    def _times(self, start: str) -> list[tuple[int, float] | None]:
+        """Steps and time of each row; None for one that has no such numbers."""
+        grid = self.run.tables.get(start)
+        if grid is None:
+            return []
+        if not {"steps", "time s"} <= set(grid.header):
+            return [None]
+        return [
+            (steps, float(time))
+            if isinstance(steps, int) and not isinstance(time, str) and steps > 0 and time > 0
+            else None
+            for steps, time in zip(grid.column("steps"), grid.column("time s"), strict=True)
+        ]
 
     def _find(self, table: str, row: dict[str, Cell], column: str) -> float | None:
         grid = self.run.tables.get(table)
@@ -116,9 +135,9 @@ def one_step(who: str, column: str) -> Lookup:
     return lambda run: run.one_step(who, column)
 
 
-def rollout(who: str, steps: int, column: str) -> Lookup:
-    """Finds a number of `rollout_metrics.csv`."""
-    return lambda run: run.rollout(who, steps, column)
+def rollout(who: str, steps: int, column: str, start: str = REST) -> Lookup:
+    """Finds a number of a table in `STARTS`."""
+    return lambda run: run.rollout(who, steps, column, start)
 
 
 def read_numbers(runs: Sequence[TrainedRun]) -> list[Numbers]:

@@ -11,7 +11,7 @@ from fluidsnet.studies.ablations.figures import draw_figures
 from fluidsnet.studies.ablations.files import write_files
 from fluidsnet.studies.ablations.flatness import FLAT
 from fluidsnet.studies.ablations.group import Group, grouped
-from fluidsnet.studies.ablations.numbers import read_numbers
+from fluidsnet.studies.ablations.numbers import MOTION, REST, STARTS, read_numbers
 from fluidsnet.studies.ablations.tables import (
     comparison_table,
     cost_line,
@@ -26,7 +26,7 @@ _PICTURES = {
     "target.png": "Errors of both targets on the validation split, in one unit; thin lines are "
     "seeds. The paper's figure 11 is of this.",
     "global_feature.png": "The same with and without the global feature.",
-    "global_feature_energy.png": "Kinetic energy of the rollouts in test. The paper's figure 12 "
+    "global_feature_energy.png": "Kinetic energy of the rollouts in motion. The paper's figure 12 "
     "shows the velocity field instead.",
 }
 
@@ -74,18 +74,22 @@ def write_report(output: Path, runs: Sequence[TrainedRun], planned: int) -> str:
             "## One step ahead\n",
             "From the true states of the test split.\n",
             *_sections(groups, [one_step_table(group) for group in groups]),
-            "## Rollouts\n",
-            "On the simulations of the test split.\n",
-            *(f"{sentence}\n" for sentence in _times(groups)),
-            *_sections(groups, [rollout_table(group) for group in groups]),
+            "## Rollouts from rest\n",
+            "From the first frame of each simulation of the test split, to its end.\n",
+            *(f"{sentence}\n" for sentence in _times(groups, REST)),
+            *_sections(groups, [rollout_table(group, REST) for group in groups]),
+            "## Rollouts in motion\n",
+            "The same from a quarter of each simulation on, when the fluid is fast.\n",
+            *(f"{sentence}\n" for sentence in _times(groups, MOTION)),
+            *_sections(groups, [rollout_table(group, MOTION) for group in groups]),
             "## Was training long enough?\n",
             "The mean of the validations' velocity_mse over the last eighth of training, beside "
             f"that over the eighth before; flat is a change below {100 * FLAT:g} %. The worst of "
             "the seeds. A curve is also flat where the learning rate has become small.\n",
             training_table(groups),
             "## Does the network look at its global feature?\n",
-            "The model's velocity_mse with the global feature of another frame over that with its "
-            "own: 1 means that it does not.\n",
+            "The model's velocity_mse with the global feature of another frame, drawn at random, "
+            "over that with its own: 1 means that it does not.\n",
             foreign_table(groups),
             "## Cost\n",
             f"{cost_line(numbers)}\n",
@@ -99,11 +103,11 @@ def _sections(groups: Sequence[Group], tables: Sequence[str]) -> list[str]:
     return [f"### {group.title}\n\n{table}" for group, table in zip(groups, tables, strict=True)]
 
 
-def _times(groups: Sequence[Group]) -> list[str]:
+def _times(groups: Sequence[Group], start: str) -> list[str]:
     """A sentence for each scene whose strides have no rows at the same time."""
     found = []
     for scene in dict.fromkeys(group.scene for group in groups):
-        moments = {group.stride: group.moments() for group in groups if group.scene == scene}
+        moments = {group.stride: group.moments(start) for group in groups if group.scene == scene}
         for words, index in (("first", 0), ("last", -1)):
             times = {stride: of[index].time for stride, of in moments.items() if len(of) == 2}
             # Times are products of a time step.
@@ -111,5 +115,6 @@ def _times(groups: Sequence[Group]) -> list[str]:
                 when = ", ".join(
                     f"after {time:.4g} s at stride {stride}" for stride, time in times.items()
                 )
-                found.append(f"{scene}: the {words} rows are not of the same time, but {when}.")
+                where = f"{scene}, {STARTS[start]}"
+                found.append(f"{where}: the {words} rows are not of the same time, but {when}.")
     return found

@@ -15,6 +15,7 @@ from fluidsnet.studies.ablations.numbers import (
     ACCELERATION,
     LABELS,
     MODEL,
+    REST,
     WITHOUT,
     Numbers,
     one_step,
@@ -23,7 +24,7 @@ from fluidsnet.studies.ablations.numbers import (
 from fluidsnet.studies.ablations.ratio import digits
 
 ONE_STEP = ("skill", "velocity_mse m²/s²", "position_error_1 mm")
-#: A column of `rollout_metrics.csv`, and its name here.
+#: A column of the tables of rollouts, and its name here.
 ROLLOUT = {
     "position_error mm": "position_error mm",
     "chamfer mm": "chamfer mm",
@@ -53,7 +54,7 @@ def spread(values: Sequence[float], seeds: int) -> str:
         return shown(values[0]) + count
     broken = [value for value in values if not math.isfinite(value)]
     if broken:
-        return f"{broken[0]:g} in {len(broken)} of {len(values)} seeds"
+        return f"{broken[0]:g} in {len(broken)} of {len(values)} seeds{count}"
     if all(near(values[0], value) for value in values):
         return shown(fmean(values)) + count
     return f"{_with_deviation(fmean(values), stdev(values))}{count}"
@@ -69,19 +70,24 @@ def one_step_table(group: Group) -> str:
     return markdown(("one step ahead", *ONE_STEP), rows) if rows else "No test was run.\n"
 
 
-def rollout_table(group: Group) -> str:
-    """Each predictor's rollouts, at the moments of the group."""
+def rollout_table(group: Group, start: str = REST) -> str:
+    """Each predictor's rollouts, at the moments of the group.
+
+    Args:
+        group: the runs.
+        start: the table of the rollouts.
+    """
     header = ["time s", "steps", "rollout", *ROLLOUT.values()]
     # Beside the predictor's own.
     place = header.index("kinetic_energy J/kg") + 1
     header.insert(place, "truth's J/kg")
     rows: list[list[Cell]] = []
-    for moment in group.moments():
+    for moment in group.moments(start):
         for who, label in ROLLOUT_ROWS.items():
-            found = [group.values(rollout(who, moment.steps, column)) for column in ROLLOUT]
+            found = [group.values(rollout(who, moment.steps, column, start)) for column in ROLLOUT]
             if not any(found):
                 continue
-            truth = group.values(rollout("truth", moment.steps, "kinetic_energy J/kg"))
+            truth = group.values(rollout("truth", moment.steps, "kinetic_energy J/kg", start))
             found.insert(place - 3, truth)
             cells = [spread(values, len(group.runs)) for values in found]
             rows.append([moment.time, moment.steps, label, *cells])
@@ -154,7 +160,7 @@ def cost_line(runs: Sequence[Numbers]) -> str:
         return "No times of training steps were logged."
     return (
         f"Beside the model's, a training step takes, in the median, {' and '.join(parts)}: on "
-        "each run's first batch, the models by turns, while other runs train."
+        "each run's first batch, the models by turns."
     )
 
 
