@@ -29,8 +29,9 @@ lint: setup ## check style and types
 	$(IN_VENV) -m mypy $(PACKAGES)
 
 test: setup lint ## check style and types, then run every test
-	@# As the program does: OpenMP threads side by side must not spin while they wait.
-	GOMP_SPINCOUNT=1000 $(IN_VENV) -m pytest -n 2 --dist loadgroup
+	@# As the program does: OpenMP threads side by side must not spin while they wait. A file's tests
+	@# share what they make, so one worker runs them all.
+	GOMP_SPINCOUNT=1000 $(IN_VENV) -m pytest -n 2 --dist loadfile
 
 clean: ## remove .venv and caches; the compiled wheels in the user's cache stay
 	rm -rf .venv build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache

@@ -49,7 +49,7 @@ def run(sample: Path, tmp_path: Path) -> Run:
                 "--data.init_args.workers=0",
                 "--trainer.max_epochs=1",
                 "--trainer.limit_train_batches=2",
-                "--trainer.limit_val_batches=1",
+                "--trainer.limit_val_batches=2",
                 "--trainer.enable_progress_bar=false",
                 f"--trainer.logger.init_args.save_dir={tmp_path}",
                 "--trainer.logger.init_args.name=run",

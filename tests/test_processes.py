@@ -17,9 +17,6 @@ from torch import nn
 
 ROOT = Path(__file__).parents[1]
 
-# One worker runs them all, and makes what they look at once.
-pytestmark = pytest.mark.xdist_group("processes")
-
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:

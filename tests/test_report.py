@@ -32,9 +32,6 @@ CONFIGS = ROOT / "configs"
 # It logs to the stderr that there is when it is loaded, which must not be one test's own.
 assert lightning
 
-# One worker runs them all, and makes what they look at once.
-pytestmark = pytest.mark.xdist_group("report")
-
 VOID = {"meta", "img", "link", "br", "hr", "input"}
 
 
@@ -95,7 +92,7 @@ def fit(folder: Path, name: str, *more: str, configs: Sequence[str] = ()) -> Non
             "fit", *(f"--config={CONFIGS / config}" for config in (*base, *configs)),
             f"--data.init_args.root={ROOT / 'tests' / 'data' / 'dam_break'}",
             "--trainer.max_steps=4", "--trainer.log_every_n_steps=1",
-            "--trainer.val_check_interval=2", "--trainer.limit_val_batches=1",
+            "--trainer.val_check_interval=2", "--trainer.limit_val_batches=2",
             "--trainer.enable_progress_bar=false", "--trainer.accelerator=cpu",
             f"--trainer.logger.init_args.save_dir={folder}",
             f"--trainer.logger.init_args.name={name}", "--trainer.logger.init_args.version=",
@@ -122,7 +119,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     fit(folder, "one", rate.format(0.003))
     fit(folder, "two", rate.format(0.001), configs=[str(rolls_out), "ablation/target.yaml"])
     for name in ("one", "two"):
-        main(["test", f"--run={folder / name}", "--trainer.limit_test_batches=1"])
+        main(["test", f"--run={folder / name}", "--trainer.limit_test_batches=2"])
     main(["predict", f"--run={folder / 'one'}", "--data.init_args.rollout_steps=3"])
     return folder
 

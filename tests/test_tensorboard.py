@@ -24,9 +24,6 @@ ROOT = Path(__file__).parents[1]
 # It logs to the stderr that there is when it is loaded, which must not be one test's own.
 assert lightning
 
-# One worker runs them all, and makes what they look at once.
-pytestmark = pytest.mark.xdist_group("tensorboard")
-
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -41,7 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
             f"--data.init_args.root={ROOT / 'tests' / 'data' / 'dam_break'}",
             "--data.init_args.batch_size=2",
             "--trainer.max_steps=3",
-            "--trainer.limit_val_batches=1",
+            "--trainer.limit_val_batches=2",
             "--trainer.val_check_interval=3",
             "--trainer.log_every_n_steps=1",
             "--trainer.enable_progress_bar=false",

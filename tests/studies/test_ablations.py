@@ -29,7 +29,7 @@ def options(folder: Path, steps: int) -> list[str]:
     fit = [
         f"--trainer.max_steps={steps}",
         "--trainer.val_check_interval=2",
-        "--trainer.limit_val_batches=1",
+        "--trainer.limit_val_batches=2",
         "--trainer.limit_test_batches=2",
         "--data.init_args.sample_every=2",
     ]
@@ -101,7 +101,7 @@ def test_a_training_that_fails_is_said_and_takes_no_other_along(
 def a_training(folder: Path, steps: int, *more: str) -> Training:
     names = ("trainer.yaml", "model/paper.yaml", "data/sample.yaml", "study/ablations.yaml")
     arguments = [f"--trainer.max_steps={steps}", "--trainer.val_check_interval=2"]
-    small = ["--trainer.limit_val_batches=1", "--data.init_args.sample_every=4"]
+    small = ["--trainer.limit_val_batches=2", "--data.init_args.sample_every=4"]
     configs = [Path("configs", name) for name in names]
     return Training(folder, configs, [*arguments, *small, *more], 1)
 

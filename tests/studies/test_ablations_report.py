@@ -36,9 +36,6 @@ MORE = "refuted: it has more energy than the truth"
 # It logs to the stderr that there is when it is loaded, which must not be one test's own.
 assert lightning
 
-# One worker runs them all, and makes what they look at once.
-pytestmark = pytest.mark.xdist_group("ablations_report")
-
 Table = list[dict[str, str]]
 Copy = Callable[..., list[TrainedRun]]
 
@@ -64,7 +61,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[TrainedRun]:
                 f"--data.init_args.stride={stride}",
                 f"--seed_everything={seed}",
                 "--trainer.max_steps=8",
-                "--trainer.limit_val_batches=1",
+                "--trainer.limit_val_batches=2",
                 "--trainer.limit_test_batches=4",
                 "--trainer.val_check_interval=1",
                 "--trainer.log_every_n_steps=1",
