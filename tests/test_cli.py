@@ -15,6 +15,7 @@ import h5py
 import lightning
 import numpy as np
 import pytest
+import torch
 import yaml
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.plugins.custom_scalar.layout_pb2 import Layout
@@ -348,6 +349,30 @@ def _elsewhere(arguments: list[str], folder: Path) -> list[str]:
     if logs and any("trainer.yaml" in argument for argument in arguments):
         return [f"--trainer.logger.init_args.save_dir={folder}"]
     return []
+
+
+def test_the_last_weights_are_kept_beside_the_best_and_trained_on(
+    run: Run, tmp_path: Path
+) -> None:
+    # The first weights are the worst by far; they are kept as the best are.
+    config = yaml.safe_load(TRAINER.read_text())
+    config["trainer"]["callbacks"][0]["init_args"]["mode"] = "min"
+    upside_down = tmp_path / "trainer.yaml"
+    upside_down.write_text(yaml.safe_dump(config))
+    more = ("--model.init_args.optimizer.init_args.lr=0.3", "--trainer.val_check_interval=2",
+            "--trainer.limit_train_batches=6")  # fmt: skip
+    run("fit", upside_down, PAPER, SAMPLE, more=more)
+    steps = {
+        name: torch.load(path, weights_only=False)["global_step"]
+        for path in (tmp_path / "run" / "checkpoints").iterdir()
+        for name in [path.name]
+    }
+    assert steps == {"best.ckpt": 2, "last.ckpt": 6}
+    last = tmp_path / "run" / "checkpoints" / "last.ckpt"
+    kept = tmp_path / "run" / "config.yaml"
+    main(["fit", f"--config={kept}", f"--ckpt_path={last}", "--trainer.max_steps=8",
+          "--trainer.max_epochs=-1"])  # fmt: skip
+    assert torch.load(last, weights_only=False)["global_step"] == 8
 
 
 def test_the_metrics_of_a_csv_logger_are_kept(run: Run, tmp_path: Path) -> None:
