@@ -351,9 +351,7 @@ def _elsewhere(arguments: list[str], folder: Path) -> list[str]:
     return []
 
 
-def test_the_last_weights_are_kept_beside_the_best_and_trained_on(
-    run: Run, tmp_path: Path
-) -> None:
+def test_the_last_weights_are_kept_beside_the_best_and_trained_on(run: Run, tmp_path: Path) -> None:
     # The first weights are the worst by far; they are kept as the best are.
     config = yaml.safe_load(TRAINER.read_text())
     config["trainer"]["callbacks"][0]["init_args"]["mode"] = "min"
@@ -362,17 +360,21 @@ def test_the_last_weights_are_kept_beside_the_best_and_trained_on(
     more = ("--model.init_args.optimizer.init_args.lr=0.3", "--trainer.val_check_interval=2",
             "--trainer.limit_train_batches=6")  # fmt: skip
     run("fit", upside_down, PAPER, SAMPLE, more=more)
-    steps = {
-        name: torch.load(path, weights_only=False)["global_step"]
-        for path in (tmp_path / "run" / "checkpoints").iterdir()
-        for name in [path.name]
-    }
-    assert steps == {"best.ckpt": 2, "last.ckpt": 6}
+    assert kept_steps(tmp_path) == {"best.ckpt": 2, "last.ckpt": 6}
     last = tmp_path / "run" / "checkpoints" / "last.ckpt"
     kept = tmp_path / "run" / "config.yaml"
     main(["fit", f"--config={kept}", f"--ckpt_path={last}", "--trainer.max_steps=8",
           "--trainer.max_epochs=-1"])  # fmt: skip
-    assert torch.load(last, weights_only=False)["global_step"] == 8
+    assert kept_steps(tmp_path) == {"best.ckpt": 2, "last.ckpt": 8}
+    # Anew in the same folder.
+    run("fit", TRAINER, PAPER, SAMPLE, more=("--trainer.limit_train_batches=3",))
+    assert kept_steps(tmp_path) == {"best.ckpt": 3, "last.ckpt": 3}
+
+
+def kept_steps(folder: Path) -> dict[str, int]:
+    """Of each checkpoint, how many steps it was trained."""
+    paths = (folder / "run" / "checkpoints").iterdir()
+    return {path.name: torch.load(path, weights_only=False)["global_step"] for path in paths}
 
 
 def test_the_metrics_of_a_csv_logger_are_kept(run: Run, tmp_path: Path) -> None:
