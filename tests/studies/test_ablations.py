@@ -48,22 +48,26 @@ def test_an_interrupted_study_goes_on_and_ends_once(
     folder = tmp_path / "study"
     run = folder / "sample" / "stride_1" / "seed_3"
     words = options(folder, 24)
-    study = subprocess.Popen(
-        [sys.executable, "-m", "fluidsnet.main", *words],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        # A group of its own, which an interrupt from the keyboard reaches as a whole.
-        start_new_session=True,
-    )
     checkpoint = run / "checkpoints" / "last.ckpt"
-    deadline = time.monotonic() + 120
-    while not checkpoint.exists() and time.monotonic() < deadline:
-        time.sleep(0.05)
-    os.killpg(study.pid, signal.SIGINT)
-    _, said = study.communicate(timeout=60)
-    assert study.returncode == 130, said
-    assert json.loads((run / NOTE).read_text())["done"] == []
+    # From the keyboard, which reaches the whole group; and the study alone, as a scheduler does.
+    for number, reach, status in ((signal.SIGINT, os.killpg, 130), (signal.SIGTERM, os.kill, 143)):
+        study = subprocess.Popen(
+            [sys.executable, "-m", "fluidsnet.main", *words],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        before = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
+        deadline = time.monotonic() + 120
+        while time.monotonic() < deadline:
+            if checkpoint.exists() and checkpoint.stat().st_mtime_ns > before:
+                break
+            time.sleep(0.05)
+        reach(study.pid, number)
+        _, said = study.communicate(timeout=60)
+        assert study.returncode == status, said
+        assert json.loads((run / NOTE).read_text())["done"] == []
 
     main(words)
     assert json.loads((run / NOTE).read_text())["done"] == ["fit", "test"]
@@ -94,8 +98,14 @@ def test_a_training_that_fails_is_said_and_takes_no_other_along(
         main([*words, "--jobs=1"])
     said = capsys.readouterr()
     assert "no sample for train" in said.err
-    assert "The same command again" in said.err
+    assert "the same command does what is left" in said.err
     assert "1 of 2 runs are finished" in said.out
+
+
+def test_a_training_that_fails_says_why(tmp_path: Path) -> None:
+    configs = [Path("configs", f"{name}.yaml") for name in ("trainer", "model/paper")]
+    with pytest.raises(UserError, match=r"fit of .*run failed: .*max_stepz"):
+        Training(tmp_path / "run", configs, ["--trainer.max_stepz=3"], 1).run("fit")
 
 
 def a_training(folder: Path, steps: int, *more: str) -> Training:
@@ -215,8 +225,11 @@ def test_a_changed_config_is_another_training(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     with pytest.raises(UserError, match="failed"):
         Training(folder, [config], [], 1).run("fit")
-    Training(folder, [config], [], 1)
     config.write_text("trainer: {max_steps: 2}")
+    # Nothing came of the first.
+    Training(folder, [config], [], 1)
+    (folder / "checkpoints").mkdir()
+    (folder / "checkpoints" / "last.ckpt").touch()
     with pytest.raises(UserError, match="with other options or configs"):
         Training(folder, [config], [], 1)
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+import signal
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import yaml
 from tqdm import tqdm
@@ -112,7 +113,9 @@ def ablations_command(arguments: list[str]) -> None:
     failures = _train(trainings, options)
     print(f"\n{_report(trainings, options)}\n{options.output}/ablations.md holds it.")
     if failures:
-        raise UserError("\n".join([*failures, "The same command again does what is left."]))
+        raise UserError(
+            "\n".join([*failures, "When that is mended, the same command does what is left."])
+        )
 
 
 def _parser() -> Parser:
@@ -123,7 +126,7 @@ def _parser() -> Parser:
             "the global feature, on several scenes, time steps and seeds, and says what that makes "
             "of the paper's claims. It simulates the data that are missing. It may be interrupted: "
             "the same command goes on where it was. The whole study takes two cores some two "
-            "hours; a first try: fluidsnet ablations --fit [--trainer.max_steps=100] --runs "
+            "hours; a first try: fluidsnet ablations --fit '[--trainer.max_steps=100]' --runs "
             '\'[{"scene": "dam_break_small", "strides": [8], "seeds": [0]}]\' --output runs/try'
         ),
         AblationsOptions,
@@ -172,6 +175,7 @@ def _train(trainings: dict[TrainedRun, Training], options: AblationsOptions) -> 
             bar.update()
 
     pool = ThreadPoolExecutor(options.jobs)
+    before = signal.signal(signal.SIGTERM, _terminated)
     try:
         waiting = [pool.submit(both, training) for training in left]
         for ended in as_completed(waiting):
@@ -184,10 +188,18 @@ def _train(trainings: dict[TrainedRun, Training], options: AblationsOptions) -> 
             else:
                 _report(trainings, options)
     finally:
-        # An interrupt reaches the processes by itself, and those that wait must not begin.
+        # Of an interrupt the processes know only where it came from the keyboard.
+        for training in left:
+            training.stop()
         pool.shutdown(cancel_futures=True)
+        signal.signal(signal.SIGTERM, before)
         bar.close()
     return failures
+
+
+def _terminated(number: int, frame: object) -> NoReturn:
+    print("fluidsnet: terminated.", file=sys.stderr)
+    sys.exit(128 + number)
 
 
 def _report(trainings: dict[TrainedRun, Training], options: AblationsOptions) -> str:

@@ -55,18 +55,26 @@ class Training:
         }
         self._note = folder / NOTE
         self._done = self._read()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._stopped = False
 
     @property
     def done(self) -> bool:
         """All stages are."""
         return all(stage in self._done for stage in self.STAGES)
 
+    def stop(self) -> None:
+        """Ends the stage that another thread runs, and lets none begin."""
+        self._stopped = True
+        if self._process is not None:
+            self._process.terminate()
+
     def run(self, stage: str) -> None:
         """Runs a stage, unless it is done.
 
         Raises:
             UserError: it ended badly, and its last words say why; or another process runs it,
-                or has run another training in the folder.
+                or has run another training in the folder; or it was stopped.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
         with self._alone() as lock:
@@ -76,29 +84,34 @@ class Training:
                 return
             self._keep()
             log = self.folder / f"{stage}.log"
-            with log.open("wb") as words:
-                ended = subprocess.run(
-                    [sys.executable, "-m", "fluidsnet.main", *self._command(stage)],
-                    stdout=words,
-                    stderr=subprocess.STDOUT,
-                    stdin=subprocess.DEVNULL,
-                    env=self._environment(),
-                    # It holds the lock, too, should it outlive this process.
-                    pass_fds=[lock],
-                    check=False,
-                )
-            if ended.returncode < 0:
+            status = self._wait(stage, lock, log)
+            if status < 0:
                 raise UserError(
-                    f"{stage} of {self.folder} was killed by signal {-ended.returncode}, as for "
-                    "lack of memory."
+                    f"{stage} of {self.folder} was killed by signal {-status}, as for lack of "
+                    "memory."
                 )
-            if ended.returncode:
-                said = log.read_text(errors="replace").strip().splitlines()[-1:] or ["no words"]
-                raise UserError(f"{stage} of {self.folder} failed: {said[0]} ({log})")
+            if status:
+                raise UserError(f"{stage} of {self.folder} failed: {_last_words(log)} ({log})")
             if stage == "fit":
                 self._check_checkpoint()
             self._done.append(stage)
             self._keep()
+
+    def _wait(self, stage: str, lock: int, log: Path) -> int:
+        """Runs a stage in a process of its own; the status that it ends with."""
+        with log.open("wb") as words:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "fluidsnet.main", *self._command(stage)],
+                stdout=words,
+                stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL,
+                env=self._environment(),
+                # It holds the lock, too, should it outlive this process.
+                pass_fds=[lock],
+            )
+        if self._stopped:
+            self._process.terminate()
+        return self._process.wait()
 
     def _command(self, stage: str) -> list[str]:
         if stage == "test":
@@ -175,6 +188,9 @@ class Training:
                 f"{self._note} is damaged; name another --output, or delete {self.folder}."
             )
         if any(known.get(name) != value for name, value in self._what.items()):
+            if not known["done"] and not self._checkpoint.exists():
+                # It never came to anything, as where an option was mistyped.
+                return []
             raise UserError(f"{self.folder} was trained with other options or configs; {otherwise}")
         return [stage for stage in self.STAGES if stage in known["done"]]
 
@@ -183,3 +199,10 @@ class Training:
         partial = self._note.with_suffix(".partial")
         partial.write_text(json.dumps({**self._what, "done": self._done}, indent=2))
         partial.replace(self._note)
+
+
+def _last_words(log: Path) -> str:
+    """What a process said in the end: its error, in one line, or its last line."""
+    words = log.read_text(errors="replace").strip()
+    _, error, said = f"\n{words}".rpartition("\nfluidsnet: ")
+    return " ".join(said.split()) if error else (words.splitlines() or ["no words"])[-1]
