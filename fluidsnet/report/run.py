@@ -12,15 +12,15 @@ from fluidsnet.errors import UserError
 from fluidsnet.report.events import PATTERN, History, read_history
 from fluidsnet.report.grid import Grid, read_grid
 
+#: The test's rollouts; what a `RolloutMetrics` with a name measured begins so, too.
+ROLLED = "rollout_metrics"
 #: The tables that a run's callbacks leave, and the command that has them written.
 TABLES = {
     "one_step": "test",
-    "rollout_metrics": "test",
+    ROLLED: "test",
     "rollout": "predict",
     "foreign_context": "test",
 }
-#: The test's rollouts, and further ones that a `RolloutMetrics` with a name measured.
-ROLLED = "rollout_metrics"
 CONFIG = "config.yaml"
 #: What each PNG file begins with.
 _PNG = b"\x89PNG\r\n\x1a\n"

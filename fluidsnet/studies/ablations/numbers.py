@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from callbacks.table import Cell
 from fluidsnet.report.events import RATE, TRAINED, Curve
 from fluidsnet.report.grid import Grid
-from fluidsnet.report.run import Run, read_runs
+from fluidsnet.report.run import ROLLED, Run, read_runs
 from fluidsnet.studies.ablations.trained_run import TrainedRun
 
 #: The paper's network, and the twins that an `Ablation` trains beside it.
@@ -20,7 +20,7 @@ LABELS = {
     WITHOUT: "without global feature",
 }
 #: Tables of a run's rollouts: from the first frame, and from one in which the fluid is fast.
-REST, MOTION = "rollout_metrics", "rollout_metrics_in_motion"
+REST, MOTION = ROLLED, f"{ROLLED}_in_motion"
 #: Names for a reader.
 STARTS = {REST: "from rest", MOTION: "in motion"}
 #: Tables of a run that the study is read from.
