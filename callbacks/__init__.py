@@ -3,7 +3,9 @@
 from callbacks.ablation import Ablation as Ablation
 from callbacks.ablation_picture import AblationPicture as AblationPicture
 from callbacks.compiled_network import CompiledNetwork as CompiledNetwork
-from callbacks.foreign_context import ForeignContext as ForeignContext
+from callbacks.global_feature_permutation import (
+    GlobalFeaturePermutation as GlobalFeaturePermutation,
+)
 from callbacks.hyperparameters import HyperParameters as HyperParameters
 from callbacks.loss_chart import LossChart as LossChart
 from callbacks.one_step_table import OneStepTable as OneStepTable

@@ -11,20 +11,20 @@ from lightning import Callback, LightningModule, Trainer
 from lightning.pytorch.utilities import rank_zero_info
 from torch import nn
 
-from callbacks.charts import Charts, ChartSource
-from callbacks.same_block import same_block
-from callbacks.training_cost import training_costs
+from fluidsnet.baselines import TRIVIAL_PREDICTORS
 from fluidsnet.errors import UserError
 from fluidsnet.features.local import LocalFeature
 from fluidsnet.integrator import Integrator
 from fluidsnet.metrics.rollout_suite import BESIDE
 from fluidsnet.module import FluidsNet
 from fluidsnet.neighbors import NeighborSearch
-from fluidsnet.network import ContextFactory
+from fluidsnet.network import GlobalFeatureFactory
 from fluidsnet.noise import StartNoise
 from fluidsnet.particles import Transitions
+from fluidsnet.reporting.charts import Charts, ChartSource
+from fluidsnet.same_settings import same_settings
 from fluidsnet.target import Target
-from fluidsnet.trivial import TRIVIAL
+from fluidsnet.training_cost import training_costs
 from fluidsnet.walls import Walls
 
 #: What takes a block's place.
@@ -37,7 +37,7 @@ Variant = (
     | Walls
     | NeighborSearch
     | StartNoise
-    | ContextFactory
+    | GlobalFeatureFactory
 )
 
 _KINDS: dict[str, type | tuple[type, ...]] = {
@@ -77,7 +77,7 @@ class Ablation(Callback, ChartSource):
                 name: acceleration
 
     Args:
-        block: that differs; an argument of `FluidsNet`: neighbors, local, context, target,
+        block: that differs; an argument of `FluidsNet`: neighbors, local, global_feature, target,
             integrator, walls, head or noise. Optimizer and schedule are for both.
         variant: the twin's; None is for no noise.
         name: of the twin, in logs and tables: lower-case letters, digits and ``_``.
@@ -88,14 +88,14 @@ class Ablation(Callback, ChartSource):
     """
 
     def __init__(self, block: str, variant: Variant = None, name: str = "twin") -> None:
-        if block not in (*_KINDS, "context"):
+        if block not in (*_KINDS, "global_feature"):
             raise UserError(
                 f"Ablation: there is no block {block!r}; the blocks are "
-                f"{', '.join(sorted((*_KINDS, 'context')))}."
+                f"{', '.join(sorted((*_KINDS, 'global_feature')))}."
             )
         if not _fits(block, variant):
             raise UserError(f"Ablation: {_words(variant)} cannot be the {block} of a FluidsNet.")
-        taken = {"model", *TRIVIAL, *BESIDE, *dir(nn.ModuleDict)}
+        taken = {"model", *TRIVIAL_PREDICTORS, *BESIDE, *dir(nn.ModuleDict)}
         if not re.fullmatch("[a-z][a-z0-9_]*", name) or name in taken:
             raise UserError(
                 f"Ablation: the name {name!r} is taken or has other signs than lower-case "
@@ -124,13 +124,13 @@ class Ablation(Callback, ChartSource):
         twin = pl_module.twin({self.block: deepcopy(self.variant)})
         known = pl_module.models().get(self.name)
         if known is None:
-            if same_block(pl_module.blocks()[self.block], twin.blocks()[self.block]):
+            if same_settings(pl_module.blocks()[self.block], twin.blocks()[self.block]):
                 raise UserError(
                     f"Ablation {self.name!r}: the model's own {self.block} is "
                     f"{_words(self.variant)} with the same settings; name a variant that differs."
                 )
             pl_module.add_twin(self.name, twin)
-        elif not same_block(known.blocks()[self.block], twin.blocks()[self.block]):
+        elif not same_settings(known.blocks()[self.block], twin.blocks()[self.block]):
             raise UserError(
                 f"This FluidsNet already has a twin {self.name!r} with another {self.block}; "
                 "choose another name."
@@ -179,7 +179,7 @@ def _callbacks(trainer: Trainer) -> list[Callback]:
 
 
 def _fits(block: str, variant: Variant) -> bool:
-    if block != "context":
+    if block != "global_feature":
         return isinstance(variant, _KINDS[block]) and not isinstance(variant, str)
     # A factory is a class or a function; other blocks can be called, too, and are none.
     others = tuple(kind for kind in _KINDS.values() if kind is not Sequence)

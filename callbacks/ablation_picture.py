@@ -14,12 +14,12 @@ from PIL import Image
 from torch import Tensor
 from tqdm import tqdm
 
-from callbacks.folder import run_folder
 from fluidsnet.errors import UserError
 from fluidsnet.export.render import Panel, side_by_side
 from fluidsnet.export.speed_colors import speed_scale
 from fluidsnet.module import FluidsNet
 from fluidsnet.particles import RolloutStart, RolloutStarts
+from fluidsnet.reporting.run_folder import run_folder
 from fluidsnet.rollout import rollout
 
 #: Position and velocity by the number of steps, each (N, 3), m and m/s, on the CPU.

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from lightning import Callback, LightningModule, Trainer
 
-from callbacks.folder import run_folder
 from fluidsnet.particles import RolloutStart
+from fluidsnet.reporting.run_folder import run_folder
 from fluidsnet.rollout import RolloutObserver
 
 

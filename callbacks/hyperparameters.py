@@ -25,7 +25,7 @@ from fluidsnet.module import FluidsNet
 Plain = bool | int | float | str
 
 #: What figures depend on; TensorBoard sorts by name and shows the first five unless told otherwise.
-_BLOCKS = ("context", "integrator", "local", "noise", "target", "walls")
+_BLOCKS = ("global_feature", "integrator", "local", "noise", "target", "walls")
 #: Of the data module, by its own names.
 _OF_DATA = ("stride", "time_step", "voxel_size", "steps", "batch_size")
 

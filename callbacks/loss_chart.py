@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from lightning import Callback, LightningModule, Trainer
 
-from callbacks.charts import Charts, ChartSource
 from fluidsnet.errors import UserError
 from fluidsnet.module import FluidsNet
+from fluidsnet.reporting.charts import Charts, ChartSource
 
 
 class LossChart(Callback, ChartSource):
-    """Draws training and validation loss against iterations into one chart (paper, figure 6).
+    """Draw training and validation loss against iterations into one chart (paper, figure 6).
 
     It is in TensorBoard's tab "Custom Scalars", with the charts of `RolloutMetrics` and `Ablation`.
     """

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from lightning import Callback, LightningModule, Trainer
 
-from callbacks.folder import run_folder
-from callbacks.table import Cell, write_table
+from fluidsnet.baselines import TRIVIAL_PREDICTORS
 from fluidsnet.errors import UserError
 from fluidsnet.module import FluidsNet
-from fluidsnet.trivial import TRIVIAL
+from fluidsnet.reporting.run_folder import run_folder
+from fluidsnet.reporting.table import Cell, write_table
 
 
 class OneStepTable(Callback):
@@ -44,7 +44,7 @@ class OneStepTable(Callback):
                     for column in self._columns
                 ),
             ]
-            for predictor in (*self._module.models(), *TRIVIAL)
+            for predictor in (*self._module.models(), *TRIVIAL_PREDICTORS)
         ]
         path = self._folder / "one_step"
         print(f"\n{write_table(path, self._header, rows)}\n{path}.md")

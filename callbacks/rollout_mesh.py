@@ -9,11 +9,11 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from numpy.typing import NDArray
 
 from callbacks.first_rollout import FirstRollout
-from callbacks.folder import rollout_file
-from callbacks.stage import Stage
 from fluidsnet.errors import UserError
 from fluidsnet.export.speed_colors import speed_colors, speed_scale
 from fluidsnet.export.vtkhdf import read_frame
+from fluidsnet.reporting.mesh_backdrop import MeshBackdrop
+from fluidsnet.reporting.run_folder import rollout_file
 
 Floats = NDArray[np.float32]
 
@@ -62,7 +62,7 @@ class RolloutMesh(FirstRollout):
             states["prediction", step] = position[shown], data["velocity"][shown]
         speeds = {key: np.linalg.norm(velocity, axis=1) for key, (_, velocity) in states.items()}
         top = speed_scale([speeds["truth", step] for step in steps])
-        stage = Stage(scene)
+        stage = MeshBackdrop(scene)
         lost = {"truth": 0, "prediction": 0}
         for step in steps:
             points, paint = [stage.points], [stage.colors]

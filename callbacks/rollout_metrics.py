@@ -10,16 +10,16 @@ import torch
 from lightning import Callback, LightningModule, Trainer
 from tqdm import tqdm
 
-from callbacks.charts import Charts, ChartSource
-from callbacks.folder import run_folder
-from callbacks.rollout_curves import draw_curves
-from callbacks.rollout_metrics_table import write_rollout_metrics
-from callbacks.rollout_scalars import log_beside, log_scalars, logged_steps, scalars_of
+from fluidsnet.baselines import Baselines
 from fluidsnet.errors import UserError
-from fluidsnet.metrics.baselines import Baselines
 from fluidsnet.metrics.rollout_suite import Figures, RolloutSuite
 from fluidsnet.module import FluidsNet
 from fluidsnet.particles import RolloutStarts
+from fluidsnet.reporting.charts import Charts, ChartSource
+from fluidsnet.reporting.rollout_curves import draw_curves
+from fluidsnet.reporting.rollout_metrics_table import write_rollout_metrics
+from fluidsnet.reporting.rollout_scalars import log_beside, log_scalars, logged_steps, scalars_of
+from fluidsnet.reporting.run_folder import run_folder
 from fluidsnet.rollout import rollout
 
 #: Those whose position error is drawn with the predictors' in one chart.

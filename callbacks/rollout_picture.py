@@ -10,11 +10,11 @@ from lightning import LightningModule, Trainer
 from lightning.pytorch.loggers import TensorBoardLogger
 
 from callbacks.first_rollout import FirstRollout
-from callbacks.folder import rollout_file
 from fluidsnet.errors import UserError
 from fluidsnet.export.render import Panel, side_by_side
 from fluidsnet.export.speed_colors import speed_scale
 from fluidsnet.export.vtkhdf import read_frame
+from fluidsnet.reporting.run_folder import rollout_file
 
 
 class RolloutPicture(FirstRollout):
@@ -41,7 +41,7 @@ class RolloutPicture(FirstRollout):
         self.times = times
 
     def on_predict_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Draws the picture."""
+        """Draw the picture."""
         start = self.first(trainer)
         if start is None:
             return

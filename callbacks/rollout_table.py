@@ -6,12 +6,12 @@ import numpy as np
 from lightning import Callback, LightningModule, Trainer
 from torch import distributed
 
-from callbacks.folder import rollout_file, run_folder
-from callbacks.rollout_scalars import logged_steps
-from callbacks.table import Cell, write_table
 from fluidsnet.export.vtkhdf import read_field_data
 from fluidsnet.metrics.rollout_errors import RolloutErrors
 from fluidsnet.particles import RolloutStart
+from fluidsnet.reporting.rollout_scalars import logged_steps
+from fluidsnet.reporting.run_folder import rollout_file, run_folder
+from fluidsnet.reporting.table import Cell, write_table
 from fluidsnet.rollout import RolloutObserver
 
 

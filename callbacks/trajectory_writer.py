@@ -6,13 +6,13 @@ import numpy as np
 import torch
 from lightning import Callback, LightningModule, Trainer
 
-from callbacks.folder import rollout_file, run_folder
 from fluidsnet.errors import UserError
 from fluidsnet.export.vtkhdf import TrajectoryFile
 from fluidsnet.metrics.position_error import distance_mm
 from fluidsnet.metrics.rollout_errors import RolloutErrors
 from fluidsnet.module import FluidsNet
 from fluidsnet.particles import Particles, RolloutStart
+from fluidsnet.reporting.run_folder import rollout_file, run_folder
 from fluidsnet.rollout import RolloutObserver
 
 

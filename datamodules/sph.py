@@ -116,7 +116,7 @@ class SPHDataModule(LightningDataModule):
         return self.scene.time_step
 
     @property
-    def cells(self) -> tuple[int, int, int]:
+    def grid_shape(self) -> tuple[int, int, int]:
         """Cells of the background grid along x, y and z: the fewest that cover the domain."""
         x, y, z = (
             # The small share keeps 1.5 / 0.1 from becoming 16 by rounding.

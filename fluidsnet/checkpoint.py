@@ -10,7 +10,7 @@ from fluidsnet.model import Model
 
 _KEY, _TWINS = "fluidsnet_blocks", "fluidsnet_twins"
 # What the weights belong to; the rest of a model may be another one than it was trained with.
-_TRAINED = ("local", "context", "target", "cells")
+_TRAINED = ("local", "global_feature", "target", "grid_shape")
 
 
 def describe(checkpoint: dict[str, Any], models: Mapping[str, Model]) -> None:
@@ -48,7 +48,7 @@ def check(checkpoint: dict[str, Any], model: Model) -> None:
         UserError: they differ, so that the weights would not fit, or mean something else.
     """
     for name, there, here in _differing(checkpoint.get(_KEY, {}), model):
-        if name == "cells":
+        if name == "grid_shape":
             raise UserError(
                 f"This network was trained on a background grid of {_grid(there)} cells, and the "
                 f"data give {_grid(here)}: set data.voxel_size so that the two agree; a scene "
@@ -108,8 +108,8 @@ def _blocks(model: Model) -> dict[str, Any]:
         name: "null" if block is None else type(block).__name__
         for name, block in model.blocks().items()
     }
-    if model.network.context.needs_its_grid:
-        blocks["cells"] = list(model.network.cells)
+    if model.network.global_feature.needs_its_grid:
+        blocks["grid_shape"] = list(model.network.grid_shape)
     return blocks
 
 

@@ -13,7 +13,7 @@ from lightning.pytorch.core import LightningModule
 # Imported so that configs can name their classes without the package.
 import callbacks as callbacks
 from datamodules.sph import SPHDataModule
-from fluidsnet.composition import with_base
+from fluidsnet.config_base import with_base
 from fluidsnet.errors import UserError
 from fluidsnet.module import FluidsNet
 
@@ -47,7 +47,7 @@ class FluidsNetCLI(LightningCLI):
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         # Read by `with_base`; the parser only has to know that configs may have it.
         parser.add_argument("--base", type=list[str] | None, default=None, help=SUPPRESS)
-        parser.link_arguments("data.cells", "model.init_args.cells", apply_on="instantiate")
+        parser.link_arguments("data.grid_shape", "model.init_args.cells", apply_on="instantiate")
 
 
 def _ours(error: BaseException | None) -> UserError | None:

@@ -29,5 +29,5 @@ def compile_network(network: Network) -> None:
     for name in _OPAQUE:
         if hasattr(torch.ops.torch_scatter, name):
             torch._dynamo.disallow_in_graph(getattr(torch.ops.torch_scatter, name))
-    for part in (network.local, network.context, network.head):
+    for part in (network.local, network.global_feature, network.head):
         part.compile(dynamic=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 from torch.nn.functional import mse_loss
 
-from fluidsnet.processes import processes, sum_over_processes
+from fluidsnet.distributed import processes, sum_over_processes
 
 
 def mean_square(output: Tensor, expected: Tensor) -> Tensor:

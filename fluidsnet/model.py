@@ -9,17 +9,17 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from fluidsnet.draws import Draws
 from fluidsnet.errors import UserError
-from fluidsnet.features.context import GlobalVector
+from fluidsnet.features.global_feature import GlobalVector
 from fluidsnet.features.local import LocalFeature, NeighborMean
 from fluidsnet.features.voxel import GridShape
 from fluidsnet.integrator import Euler, Integrator
 from fluidsnet.loss import mean_square
 from fluidsnet.neighbors import Auto, NeighborSearch
-from fluidsnet.network import ContextFactory, Network
+from fluidsnet.network import GlobalFeatureFactory, Network
 from fluidsnet.noise import StartNoise
 from fluidsnet.particles import Particles, Transitions
+from fluidsnet.rng import preserve_rng_state
 from fluidsnet.statistics import Statistics
 from fluidsnet.target import Target, VelocityTarget
 from fluidsnet.walls import OpenWalls, Walls
@@ -29,10 +29,10 @@ class Model(nn.Module):
     """From a state to the next; `FluidsNet` is one that Lightning trains.
 
     Args:
-        cells: of the background grid along x, y and z.
+        grid_shape: of the background grid along x, y and z.
         neighbors: search for neighbors; `Auto` by default.
         local: local feature; `NeighborMean` by default.
-        context: makes the feature of the whole scene; `GlobalVector` by default.
+        global_feature: makes the feature of the whole scene; `GlobalVector` by default.
         target: what is predicted; `VelocityTarget` by default.
         integrator: from velocity to position; `Euler` by default.
         walls: what happens at the domain's border; `OpenWalls` by default.
@@ -47,10 +47,10 @@ class Model(nn.Module):
 
     def __init__(
         self,
-        cells: GridShape,
+        grid_shape: GridShape,
         neighbors: NeighborSearch | None = None,
         local: LocalFeature | None = None,
-        context: ContextFactory | None = None,
+        global_feature: GlobalFeatureFactory | None = None,
         target: Target | None = None,
         integrator: Integrator | None = None,
         walls: Walls | None = None,
@@ -58,12 +58,12 @@ class Model(nn.Module):
         noise: StartNoise | None = None,
     ) -> None:
         super().__init__()
-        self._context, self._head = context or GlobalVector, head
+        self._context, self._head = global_feature or GlobalVector, head
         self.network = Network(
-            cells=cells,
+            grid_shape=grid_shape,
             neighbors=neighbors or Auto(),
             local=local or NeighborMean(),
-            context=self._context,
+            global_feature=self._context,
             target=target or VelocityTarget(),
             head=head,
         )
@@ -79,16 +79,18 @@ class Model(nn.Module):
                 "DisplacementTarget, or the integrator Euler or Trapezoid."
             )
 
-    def learn_scale(self, statistics: Statistics, time_step: float) -> None:
+    def set_statistics(self, statistics: Statistics, time_step: float) -> None:
         """Takes the scale of inputs and target, and the time step in s, from the training data."""
         self.network.set_statistics(statistics)
         if self.noise is not None:
             self.noise.set_statistics(statistics)
         self.time_step.fill_(time_step)
 
-    def forward(self, particles: Particles, context: Tensor | None = None) -> Particles:
-        """The predicted state one step later; `context` as `Network` takes it."""
-        return self.walls(self.integrator(particles, self.network.motion(particles, context)))
+    def forward(self, particles: Particles, global_feature: Tensor | None = None) -> Particles:
+        """The predicted state one step later; `global_feature` as `Network` takes it."""
+        return self.walls(
+            self.integrator(particles, self.network.motion(particles, global_feature))
+        )
 
     def loss(self, batch: Transitions) -> Tensor:
         """The mean squared error of the head's output, over as many steps as the batch has, ()."""
@@ -109,7 +111,7 @@ class Model(nn.Module):
         return {
             "neighbors": network.neighbors,
             "local": network.local,
-            "context": network.context,
+            "global_feature": network.global_feature,
             "target": network.target,
             "integrator": self.integrator,
             "walls": self.walls,
@@ -126,12 +128,12 @@ class Model(nn.Module):
         Args:
             changes: other arguments of the constructor, by their names.
         """
-        made_elsewhere = {"context": self._context, "head": self._head}
+        made_elsewhere = {"global_feature": self._context, "head": self._head}
         kept = {name: block for name, block in self.blocks().items() if name not in made_elsewhere}
-        with Draws():
+        with preserve_rng_state():
             twin = Model(
                 **{
-                    "cells": self.network.cells,
+                    "grid_shape": self.network.grid_shape,
                     **made_elsewhere,
                     **deepcopy(kept),
                     **(changes or {}),

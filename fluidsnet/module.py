@@ -16,23 +16,23 @@ from torch.nn.parallel import DistributedDataParallel
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
+from fluidsnet.baselines import TRIVIAL_PREDICTORS
 from fluidsnet.checkpoint import check, check_twins, describe
-from fluidsnet.draws import alike
 from fluidsnet.errors import UserError
 from fluidsnet.features.local import LocalFeature
 from fluidsnet.integrator import Integrator
 from fluidsnet.metrics import TargetError
 from fluidsnet.model import Model
 from fluidsnet.neighbors import NeighborSearch
-from fluidsnet.network import ContextFactory
+from fluidsnet.network import GlobalFeatureFactory
 from fluidsnet.noise import StartNoise
 from fluidsnet.one_step import OneStepErrors
 from fluidsnet.optimization import adam, clip_each, total_steps
 from fluidsnet.particles import Particles, RolloutStart, Transitions
+from fluidsnet.rng import with_same_rng
 from fluidsnet.rollout import RolloutObserver, rollout
 from fluidsnet.schedule import HalfwayDrop
 from fluidsnet.target import Target
-from fluidsnet.trivial import TRIVIAL
 from fluidsnet.walls import Walls
 
 #: Makes a schedule from an optimizer and the number of steps of the whole run.
@@ -43,11 +43,11 @@ class FluidsNet(Model, LightningModule):
     """The paper's network and its training; each block can be replaced from a config.
 
     Args:
-        cells: of the background grid along x, y and z; follows from the data's domain and
-            voxel size.
+        grid_shape: cells of the background grid along x, y and z; follows from the data's domain
+            and voxel size.
         neighbors: search for neighbors; by default the fastest where the particles are.
         local: local feature (paper, section 4.3).
-        context: makes the feature of the whole scene; one vector by default (sections 4.4,
+        global_feature: makes the feature of the whole scene; one vector by default (sections 4.4,
             4.5).
         target: what is predicted; the next velocity by default (section 4.2).
         integrator: from velocity to position; Euler by default (section 4.6).
@@ -60,10 +60,10 @@ class FluidsNet(Model, LightningModule):
 
     def __init__(
         self,
-        cells: tuple[int, int, int],
+        grid_shape: tuple[int, int, int],
         neighbors: NeighborSearch | None = None,
         local: LocalFeature | None = None,
-        context: ContextFactory | None = None,
+        global_feature: GlobalFeatureFactory | None = None,
         target: Target | None = None,
         integrator: Integrator | None = None,
         walls: Walls | None = None,
@@ -72,7 +72,9 @@ class FluidsNet(Model, LightningModule):
         optimizer: OptimizerCallable | None = None,
         schedule: ScheduleCallable | None = None,
     ) -> None:
-        super().__init__(cells, neighbors, local, context, target, integrator, walls, head, noise)
+        super().__init__(
+            grid_shape, neighbors, local, global_feature, target, integrator, walls, head, noise
+        )
         self.save_hyperparameters()
         self.optimizer = optimizer or adam
         self.schedule = schedule or HalfwayDrop
@@ -80,7 +82,9 @@ class FluidsNet(Model, LightningModule):
         # has more frames.
         self.validation_loss = TargetError()
         self.validation = torch.nn.ModuleDict({"model": OneStepErrors()})
-        self.testing = torch.nn.ModuleDict({name: OneStepErrors() for name in ("model", *TRIVIAL)})
+        self.testing = torch.nn.ModuleDict(
+            {name: OneStepErrors() for name in ("model", *TRIVIAL_PREDICTORS)}
+        )
         self.twins = torch.nn.ModuleDict()
 
     def models(self) -> dict[str, Model]:
@@ -101,7 +105,7 @@ class FluidsNet(Model, LightningModule):
             # A checkpoint that is resumed is read after this and has the last word.
             data: Any = self._data_module()
             for model in self.models().values():
-                model.learn_scale(data.statistics, data.time_step)
+                model.set_statistics(data.statistics, data.time_step)
             # All processes come to the same buffers by themselves. To send them round at each
             # call costs more than the network, and needs as many batches of each to validate.
             DistributedDataParallel._set_params_and_buffers_to_ignore_for_model(  # type: ignore[no-untyped-call]
@@ -147,7 +151,9 @@ class FluidsNet(Model, LightningModule):
 
     def training_step(self, batch: Transitions, batch_index: int) -> Tensor:
         models, frames = self.models(), batch.state.frames
-        losses = alike(self.device, [partial(model.loss, batch) for model in models.values()])
+        losses = with_same_rng(
+            self.device, [partial(model.loss, batch) for model in models.values()]
+        )
         self.log("train/loss", losses[0], batch_size=frames, prog_bar=True, sync_dist=True)
         if self.twins:
             for name, loss in zip(models, losses, strict=True):
@@ -173,7 +179,10 @@ class FluidsNet(Model, LightningModule):
                 errors.log_from(self, f"ablation/{{}}/{name}", frames)
 
     def test_step(self, batch: Transitions, batch_index: int) -> None:
-        guesses: dict[str, Callable[[Particles], Particles]] = {**self.models(), **TRIVIAL}
+        guesses: dict[str, Callable[[Particles], Particles]] = {
+            **self.models(),
+            **TRIVIAL_PREDICTORS,
+        }
         for name, predict in guesses.items():
             errors = cast(OneStepErrors, self.testing[name])
             errors.add(predict(batch.state), batch)

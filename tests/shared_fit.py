@@ -21,7 +21,7 @@ from torch.utils.data import DataLoader
 
 from callbacks import (
     Ablation,
-    ForeignContext,
+    GlobalFeaturePermutation,
     OneStepTable,
     RolloutMetrics,
     RolloutPicture,
@@ -76,9 +76,9 @@ def fit(root: Path, folder: Path, processes: int) -> None:
     # differ in number, and no split has as many frames for each of two processes.
     data = InOrder(root, 0.25, sample_every=6, batch_size=BATCH // processes, rollout_steps=2)
     model = Watched(
-        data.cells,
+        data.grid_shape,
         # No random numbers in empty cells.
-        context=partial(GlobalVector, empty_variance=0.0),
+        global_feature=partial(GlobalVector, empty_variance=0.0),
         # Adam divides by the gradient's own size, which blows rounding up where that is tiny.
         optimizer=partial(SGD, lr=0.1),
     )
@@ -99,7 +99,7 @@ def fit(root: Path, folder: Path, processes: int) -> None:
             # To validate there is one simulation: one process of two has no rollout.
             OneStepTable(), RolloutMetrics(steps=2, simulations=None, every_n_validations=1),
             RolloutProgress(), TrajectoryWriter(), RolloutTable(), RolloutPicture(),
-            Ablation("target", AccelerationTarget(), "acceleration"), ForeignContext(),
+            Ablation("target", AccelerationTarget(), "acceleration"), GlobalFeaturePermutation(),
         ],
     )  # fmt: skip
     trainer.fit(model, data)

@@ -21,7 +21,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from tensorboard.plugins.custom_scalar.layout_pb2 import Layout
 
 from datamodules.generate.command import _parser as generate_parser
-from fluidsnet.composition import with_base
+from fluidsnet.config_base import with_base
 from fluidsnet.errors import UserError
 from fluidsnet.export.vtkhdf import read_field_data, read_frame
 from fluidsnet.main import USAGE, main
@@ -118,7 +118,9 @@ def test_every_ablation_is_compared_while_training_and_in_the_test(
         rows = [row[0] for row in csv.reader(file)]
     assert rows[1:] == ["model", name.replace("_", " "), "constant velocity", "ballistic"]
     named = [callback["class_path"] for callback in callbacks]
-    assert (folder / "foreign_context.md").exists() == ("callbacks.ForeignContext" in named)
+    assert (folder / "global_feature_permutation.md").exists() == (
+        "callbacks.GlobalFeaturePermutation" in named
+    )
     assert (folder / "ablation.png").exists()
 
 
@@ -132,10 +134,10 @@ def test_the_documented_ablations_of_other_blocks_run(
     run("fit", TRAINER, PAPER, SAMPLE, example, more=(cells,))
     folder = tmp_path / "run"
     # Any test can look at the global feature.
-    run("test", more=(f"--run={folder}", "--trainer.callbacks+=callbacks.ForeignContext"))
+    run("test", more=(f"--run={folder}", "--trainer.callbacks+=callbacks.GlobalFeaturePermutation"))
     rows = (folder / "one_step.md").read_text()
     assert all(name in rows for name in ("trapezoid", "full convolutions", "wide head"))
-    assert (folder / "foreign_context.md").exists()
+    assert (folder / "global_feature_permutation.md").exists()
     # The twins may be left out.
     alone = [f"--config={config}" for config in (TRAINER, PAPER, SAMPLE)]
     root = f"--data.init_args.root={sample}"

@@ -11,7 +11,7 @@ from lightning.pytorch.callbacks import ModelCheckpoint
 from datamodules import SPHDataModule
 from fluidsnet import FluidsNet
 from fluidsnet.errors import UserError
-from fluidsnet.features import NoContext
+from fluidsnet.features import NoGlobalFeature
 from fluidsnet.integrator import Displacement
 from fluidsnet.noise import StartNoise
 from fluidsnet.target import AccelerationTarget, DisplacementTarget
@@ -40,7 +40,7 @@ def trainer(folder: Path, **changes: Any) -> Trainer:
 def test_training_learns(sample: Path, tmp_path: Path) -> None:
     torch.manual_seed(0)
     source = data(sample)
-    model = FluidsNet(source.cells)
+    model = FluidsNet(source.grid_shape)
     runner = trainer(tmp_path, max_epochs=12)
     runner.fit(model, source)
     after = runner.callback_metrics
@@ -55,8 +55,8 @@ def test_variants_train_over_several_steps_with_noise(
 ) -> None:
     source = data(sample, steps=steps)
     model = FluidsNet(
-        source.cells,
-        context=NoContext,
+        source.grid_shape,
+        global_feature=NoGlobalFeature,
         target=DisplacementTarget(),
         integrator=Displacement(),
         walls=StopAtWalls(),
@@ -69,8 +69,10 @@ def test_variants_train_over_several_steps_with_noise(
 
 def test_the_loss_over_steps_is_that_of_each_step(sample: Path) -> None:
     source = data(sample, steps=2, batch_size=1)
-    model = FluidsNet(source.cells, context=NoContext, target=AccelerationTarget())
-    model.learn_scale(source.statistics, source.time_step)
+    model = FluidsNet(
+        source.grid_shape, global_feature=NoGlobalFeature, target=AccelerationTarget()
+    )
+    model.set_statistics(source.statistics, source.time_step)
     model.log = lambda *_, **__: None  # type: ignore[method-assign]
     batch = next(iter(source.train_dataloader()))
     found = model.training_step(batch, 0)
@@ -89,7 +91,7 @@ def test_scale_comes_from_the_training_data_and_stays_with_the_checkpoint(
     sample: Path, tmp_path: Path
 ) -> None:
     source = data(sample)
-    model = FluidsNet(source.cells)
+    model = FluidsNet(source.grid_shape)
     saver = ModelCheckpoint(dirpath=tmp_path, filename="kept")
     runner = trainer(tmp_path, max_steps=2, limit_val_batches=1, enable_checkpointing=True,
                      callbacks=[saver])  # fmt: skip
@@ -118,8 +120,8 @@ def test_a_network_of_other_blocks_comes_back_from_its_checkpoint(
     sample: Path, tmp_path: Path
 ) -> None:
     source = data(sample)
-    blocks: dict[str, Any] = {"target": DisplacementTarget(), "context": NoContext}
-    model = FluidsNet(source.cells, integrator=Displacement(), noise=StartNoise(), **blocks)
+    blocks: dict[str, Any] = {"target": DisplacementTarget(), "global_feature": NoGlobalFeature}
+    model = FluidsNet(source.grid_shape, integrator=Displacement(), noise=StartNoise(), **blocks)
     kept = _keep(model, source, tmp_path)
     again = FluidsNet.load_from_checkpoint(kept, **blocks)
     for name, value in model.network.state_dict().items():
@@ -131,23 +133,23 @@ def test_a_checkpoint_of_other_blocks_or_another_grid_is_refused(
     sample: Path, tmp_path: Path
 ) -> None:
     source = data(sample)
-    kept = _keep(FluidsNet(source.cells), source, tmp_path)
+    kept = _keep(FluidsNet(source.grid_shape), source, tmp_path)
     # Same shapes, another meaning.
     with pytest.raises(UserError, match=r"target VelocityTarget.*has AccelerationTarget"):
         FluidsNet.load_from_checkpoint(kept, target=AccelerationTarget())
     with pytest.raises(UserError, match=r"grid of 6 x 4 x 6 cells.*give 8 x 5 x 8.*voxel_size"):
         other = data(sample, voxel_size=0.2)
-        trainer(tmp_path).test(FluidsNet(other.cells), other, ckpt_path=kept, verbose=False)
+        trainer(tmp_path).test(FluidsNet(other.grid_shape), other, ckpt_path=kept, verbose=False)
 
 
 def test_resuming_at_another_time_step_is_refused_before_training(
     sample: Path, tmp_path: Path
 ) -> None:
     source = data(sample)
-    kept = _keep(FluidsNet(source.cells), source, tmp_path)
+    kept = _keep(FluidsNet(source.grid_shape), source, tmp_path)
     runner = trainer(tmp_path, max_steps=3)
     with pytest.raises(UserError, match=r"time step of 0.02 s.*stepped by 0.04 s"):
-        runner.fit(FluidsNet(source.cells), data(sample, stride=2), ckpt_path=kept)
+        runner.fit(FluidsNet(source.grid_shape), data(sample, stride=2), ckpt_path=kept)
     assert runner.global_step == 1
 
 
@@ -159,7 +161,7 @@ def test_the_learning_rate_falls_to_a_twentieth_halfway(sample: Path, tmp_path: 
             self.seen.append(self.trainer.optimizers[0].param_groups[0]["lr"])
 
     source = data(sample, batch_size=2)
-    model = Watch(source.cells, context=NoContext)
+    model = Watch(source.grid_shape, global_feature=NoGlobalFeature)
     model.seen = []
     trainer(tmp_path, max_steps=10, limit_val_batches=1).fit(model, source)
     assert model.seen == pytest.approx([0.003] * 5 + [0.00015] * 5)
@@ -172,7 +174,7 @@ def test_an_integrator_that_needs_a_displacement_wants_a_target_that_gives_it() 
 
 def test_another_time_step_than_the_trained_one_is_refused(sample: Path, tmp_path: Path) -> None:
     source = data(sample)
-    model = FluidsNet(source.cells, context=NoContext)
+    model = FluidsNet(source.grid_shape, global_feature=NoGlobalFeature)
     trainer(tmp_path, max_steps=1, limit_val_batches=1).fit(model, source)
     with pytest.raises(UserError, match=r"time step of 0.02 s.*stepped by 0.04 s"):
         trainer(tmp_path).test(model, data(sample, stride=2), verbose=False)
@@ -181,20 +183,20 @@ def test_another_time_step_than_the_trained_one_is_refused(sample: Path, tmp_pat
 def test_an_untrained_network_is_not_tested(sample: Path, tmp_path: Path) -> None:
     source = data(sample)
     with pytest.raises(UserError, match="has not been trained"):
-        trainer(tmp_path).test(FluidsNet(source.cells), source, verbose=False)
+        trainer(tmp_path).test(FluidsNet(source.grid_shape), source, verbose=False)
 
 
 def test_a_run_without_an_end_is_refused(sample: Path, tmp_path: Path) -> None:
     source = data(sample)
     with pytest.raises(UserError, match=r"max_epochs or trainer.max_steps"):
-        trainer(tmp_path, max_epochs=-1).fit(FluidsNet(source.cells), source)
+        trainer(tmp_path, max_epochs=-1).fit(FluidsNet(source.grid_shape), source)
 
 
 def test_weight_counts_are_those_the_documentation_gives() -> None:
     counts = {}
     for cells in ((21, 21, 21), (18, 12, 18)):
         network = FluidsNet(cells).network
-        context = network.context
+        context = network.global_feature
         counts[cells] = [
             sum(weight.numel() for weight in part.parameters())
             for part in (network.local, context.voxel, context.stack, context.reduce, network.head)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import pytest
 import torch
 
+from fluidsnet.baselines import ballistic, constant_velocity
 from fluidsnet.integrator import Displacement, Euler, Integrator, Trapezoid
 from fluidsnet.particles import Particles
 from fluidsnet.statistics import Statistics
@@ -17,7 +18,6 @@ from fluidsnet.target import (
     Target,
     VelocityTarget,
 )
-from fluidsnet.trivial import ballistic, constant_velocity
 from fluidsnet.walls import OpenWalls, StopAtWalls
 
 Make = Callable[..., Particles]

@@ -8,7 +8,13 @@ import pytest
 import torch
 from torch.overrides import TorchFunctionMode
 
-from fluidsnet.features import GlobalVector, KernelMessages, NeighborMean, NoContext, VoxelField
+from fluidsnet.features import (
+    GlobalVector,
+    KernelMessages,
+    NeighborMean,
+    NoGlobalFeature,
+    VoxelField,
+)
 from fluidsnet.neighbors import BruteForce, TorchCluster
 from fluidsnet.network import Network
 from fluidsnet.particles import Particles
@@ -20,7 +26,7 @@ Make = Callable[..., Particles]
 NETWORKS: dict[str, Callable[[], Network]] = {
     "paper": lambda: Network(CELLS, TorchCluster(), NeighborMean(), GlobalVector, VelocityTarget()),
     "no context": lambda: Network(
-        CELLS, TorchCluster(), NeighborMean(), NoContext, AccelerationTarget()
+        CELLS, TorchCluster(), NeighborMean(), NoGlobalFeature, AccelerationTarget()
     ),
     "field": lambda: Network(
         CELLS, TorchCluster(), KernelMessages(), VoxelField, DisplacementTarget(), head=(64,)

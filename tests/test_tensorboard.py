@@ -142,7 +142,7 @@ def test_hyperparameters_are_plain_and_training_ended(events: EventAccumulator) 
     found = hyperparameters(events)
     values = found["session_start_info"].session_start_info.hparams
     assert values["block/target"].string_value == "VelocityTarget"
-    assert values["block/context"].string_value == "GlobalVector"
+    assert values["block/global_feature"].string_value == "GlobalVector"
     assert values["block/noise"].string_value == "none"
     assert values["model/head"].string_value == "32 16 8"
     assert values["train/learning_rate"].number_value == 0.003

@@ -12,7 +12,7 @@ from test_module import data, trainer
 from torch import Tensor
 
 from fluidsnet import FluidsNet
-from fluidsnet.features import KernelMessages, NoContext, VoxelField
+from fluidsnet.features import KernelMessages, NoGlobalFeature, VoxelField
 from fluidsnet.integrator import Displacement
 from fluidsnet.neighbors import BruteForce, Neighbors
 from fluidsnet.particles import Particles
@@ -35,7 +35,7 @@ BLOCKS: dict[str, Callable[[], dict[str, Any]]] = {
     "paper": lambda: {},
     "field": lambda: {
         "local": KernelMessages(),
-        "context": VoxelField,
+        "global_feature": VoxelField,
         "target": DisplacementTarget(),
         "integrator": Displacement(),
     },
@@ -52,7 +52,7 @@ def test_mixed_precision_learns(blocks: str, precision: str, sample: Path, tmp_p
     torch.manual_seed(0)
     # Two steps, so that gradients go through positions and velocities too.
     source = data(sample, steps=2, batch_size=2)
-    model = Watched(source.cells, **BLOCKS[blocks]())
+    model = Watched(source.grid_shape, **BLOCKS[blocks]())
     runner = trainer(tmp_path, max_epochs=24, overfit_batches=1, precision=precision)
     runner.fit(model, source)
     losses = torch.tensor(model.losses)
@@ -88,7 +88,7 @@ def test_a_small_move_far_out_is_seen_in_mixed_precision(
     make_particles: Make, device: torch.device
 ) -> None:
     # A thousandth of the domain, which bfloat16 loses near its far end.
-    model = FluidsNet((6, 4, 6), context=NoContext).to(device).network
+    model = FluidsNet((6, 4, 6), global_feature=NoGlobalFeature).to(device).network
     particles = make_particles((300, 100))
     moved = particles.moved(particles.position * 0.999, particles.velocity)
     with torch.autocast(device.type, torch.bfloat16):
@@ -111,7 +111,7 @@ def test_two_accumulated_batches_are_one_of_twice_the_size(sample: Path, tmp_pat
     for size, accumulated in ((3, 2), (6, 1)):
         torch.manual_seed(0)
         source = data(sample, sample_every=7, batch_size=size)
-        model = FluidsNet(source.cells, context=VoxelField, target=VelocityTarget())
+        model = FluidsNet(source.grid_shape, global_feature=VoxelField, target=VelocityTarget())
         weights.append(
             weights_after(model, source, tmp_path, max_steps=3, accumulate_grad_batches=accumulated)
         )
@@ -132,7 +132,7 @@ class Counting(BruteForce):
 def test_a_batch_is_searched_once_however_many_rounds_and_frames(sample: Path) -> None:
     source = data(sample, batch_size=3)
     search = Counting()
-    model = FluidsNet(source.cells, neighbors=search, local=KernelMessages(rounds=3))
+    model = FluidsNet(source.grid_shape, neighbors=search, local=KernelMessages(rounds=3))
     model.log = lambda *_, **__: None  # type: ignore[method-assign]
     batch = next(iter(source.train_dataloader()))
     model.training_step(batch, 0).backward()

@@ -53,8 +53,8 @@ def measure(root: Path, search: str) -> None:
     torch.manual_seed(0)
     data = SPHDataModule(root, voxel_size=1.5 / 18, stride=4, batch_size=2)
     batches = list(islice(data.train_dataloader(), 8))
-    model: Any = FluidsNet(data.cells, neighbors=getattr(fluidsnet.neighbors, search)())
-    model.learn_scale(data.statistics, data.time_step)
+    model: Any = FluidsNet(data.grid_shape, neighbors=getattr(fluidsnet.neighbors, search)())
+    model.set_statistics(data.statistics, data.time_step)
     # There is no Trainer that could log.
     model.log = lambda *_, **__: None
     optimizer = torch.optim.Adam(model.parameters(), lr=0.003)

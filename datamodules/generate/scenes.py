@@ -85,7 +85,7 @@ class SceneKind(ABC):
 
     @abstractmethod
     def sample(self, random: np.random.Generator, particle_radius: float) -> list[Body]:
-        """Draws the bodies of one scene.
+        """Draw the bodies of one scene.
 
         They lie inside the walls with a clearance of `CLEARANCE` particle radii, do not
         overlap, and blocks are a whole number of particles wide.

@@ -58,7 +58,7 @@ def side_by_side(
     speed_max: float | None = None,
     columns: int = 2,
 ) -> None:
-    """Draws panels in columns to a PNG file, all with one scale of color.
+    """Draw panels in columns to a PNG file, all with one scale of color.
 
     More than two columns have smaller panels: the picture gets no wider than 2,400 pixels.
 
@@ -134,7 +134,7 @@ def _panel_size(rows: int, columns: int) -> tuple[int, int]:
 
 
 def _draw(axes: Axes, camera: Camera, panel: Panel, radius: float, top: float) -> None:
-    """Draws one panel: floor, far edges, particles, near edges, title."""
+    """Draw one panel: floor, far edges, particles, near edges, title."""
     corners = camera.project(camera.corners())
     floor = corners[[0, 1, 5, 4]]
     facing = (camera.eye < camera.lower, camera.eye > camera.upper)
@@ -166,7 +166,7 @@ def _draw(axes: Axes, camera: Camera, panel: Panel, radius: float, top: float) -
 def _spheres(
     camera: Camera, panel: Panel, radius: float, top: float
 ) -> tuple[NDArray[np.float32], int]:
-    """Draws the particles.
+    """Draw the particles.
 
     Returns:
         picture (height, width, 4), red, green, blue, opacity; and how many particles are in it.

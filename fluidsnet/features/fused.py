@@ -24,7 +24,7 @@ from fluidsnet.features.dense import (
     rounded_up,
     squash,
 )
-from fluidsnet.neighbors.cells import Cells, is_finite
+from fluidsnet.neighbors.cells import CellTable, is_finite
 from fluidsnet.neighbors.nearest import (
     BINS,
     BLOCK,
@@ -65,7 +65,7 @@ class EdgeLayers(NamedTuple):
 
 
 def neighbor_mean(
-    particles: Particles, cells: tuple[Cells, Cells], layers: EdgeLayers, k: int
+    particles: Particles, cells: tuple[CellTable, CellTable], layers: EdgeLayers, k: int
 ) -> Tensor:
     """The mean over the neighbors of each fluid particle of what the layers make of them.
 
@@ -105,8 +105,8 @@ def _sort(velocity: Any, row: Any) -> Any:
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _pool(
-    fluid: Cells, solids: Cells, fluid_velocity: Any, solid_velocity: Any, layers: EdgeLayers,
-    limit: Any, k: int, pooled: Any,
+    fluid: CellTable, solids: CellTable, fluid_velocity: Any, solid_velocity: Any,
+    layers: EdgeLayers, limit: Any, k: int, pooled: Any,
 ) -> None:  # fmt: skip
     """`neighbor_mean` by row; velocities (3, P) in the order of the cells, limit in m²."""
     count, hidden = len(fluid.row), len(layers.fluid)

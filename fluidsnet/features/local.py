@@ -12,9 +12,9 @@ from torch_scatter import gather_csr, segment_csr
 
 from fluidsnet.features.dense import as_array, compiled_path_for, padded
 from fluidsnet.features.edge_mean import edge_mean
+from fluidsnet.features.float32_linear import Float32Linear
 from fluidsnet.features.fused import EdgeLayers, neighbor_mean
 from fluidsnet.features.input import FLUID, SOLID, InputFeature
-from fluidsnet.features.precise import PreciseLinear
 from fluidsnet.neighbors.search import Neighbors, NeighborSearch
 from fluidsnet.particles import Particles
 
@@ -72,7 +72,7 @@ class NeighborMean(LocalFeature):
         super().__init__()
         self.width = width
         self.edge = nn.Sequential(
-            PreciseLinear(InputFeature.width, hidden),
+            Float32Linear(InputFeature.width, hidden),
             nn.Tanh(),
             nn.Linear(hidden, width),
             nn.Tanh(),

@@ -7,7 +7,7 @@ from typing import final
 import torch
 from torch import Tensor, nn
 
-from fluidsnet.processes import processes, sum_over_processes
+from fluidsnet.distributed import processes, sum_over_processes
 
 
 @final

@@ -20,7 +20,7 @@ from fluidsnet.features.dense import (
     rounded_up,
     squash,
 )
-from fluidsnet.features.precise import PreciseLinear
+from fluidsnet.features.float32_linear import Float32Linear
 from fluidsnet.neighbors.threads import take_threads
 
 # Rows a thread sends through all layers at a time: their numbers stay in the first cache.
@@ -43,7 +43,7 @@ class Perceptron(nn.ModuleList):
         layers: list[nn.Module] = []
         for number, (before, after) in enumerate(pairwise(widths)):
             outer = number in (0, len(widths) - 2)
-            layers += [(PreciseLinear if outer else nn.Linear)(before, after), nn.Tanh()]
+            layers += [(Float32Linear if outer else nn.Linear)(before, after), nn.Tanh()]
         super().__init__(layers[:-1])
         self.widths = tuple(widths)
 

@@ -21,7 +21,7 @@ GridShape = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
-class Cells:
+class OccupiedVoxels:
     """The occupied cells of a batch of frames.
 
     Attributes:
@@ -41,10 +41,10 @@ class Cells:
         return self.index.int().argsort(stable=True)
 
 
-def occupied_cells(particles: Particles, shape: GridShape) -> Cells:
+def occupied_voxels(particles: Particles, shape: GridShape) -> OccupiedVoxels:
     """Sorts the fluid particles into the grid over the domain.
 
-    A particle outside the domain counts for the cell at the border that is nearest. Cells
+    A particle outside the domain counts for the cell at the border that is nearest. OccupiedVoxels
     are numbered frame by frame, then along x, y and z, the last fastest.
 
     Args:
@@ -63,7 +63,7 @@ def occupied_cells(particles: Particles, shape: GridShape) -> Cells:
     crowd = torch.bincount(number, minlength=particles.frames * shape[0] * shape[1] * shape[2])
     cell = crowd.nonzero().squeeze(1)
     index = ((crowd > 0).cumsum(0) - 1).index_select(0, number)
-    return Cells(cell, index, nn.functional.pad(crowd[cell].cumsum(0), (1, 0)))
+    return OccupiedVoxels(cell, index, nn.functional.pad(crowd[cell].cumsum(0), (1, 0)))
 
 
 @final
@@ -128,7 +128,7 @@ class VoxelFeature(nn.Module):
             for before, after in zip([inputs, *widths[:-1]], widths, strict=True)
         )
 
-    def forward(self, features: Tensor, cells: Cells) -> Tensor:
+    def forward(self, features: Tensor, cells: OccupiedVoxels) -> Tensor:
         """(N, inputs) of the particles to (C, width) of the occupied cells."""
         if compiled_path_for(features) and not self.training:
             return cell_means(

@@ -1,6 +1,5 @@
 """What is measured; one metric a file."""
 
-from fluidsnet.metrics.baselines import Baselines as Baselines
 from fluidsnet.metrics.center_of_mass import CenterOfMass as CenterOfMass
 from fluidsnet.metrics.chamfer import Chamfer as Chamfer
 from fluidsnet.metrics.density import Density as Density

@@ -8,8 +8,8 @@ from typing import final
 import torch
 from torch import Tensor
 
+from fluidsnet.cache import TensorCache
 from fluidsnet.neighbors.auto import Auto
-from fluidsnet.neighbors.kept import Kept
 from fluidsnet.neighbors.search import NeighborSearch
 from fluidsnet.particles import Particles
 
@@ -35,7 +35,7 @@ class Density:
     def __init__(self, search: NeighborSearch | None = None) -> None:
         self.search = search or Auto(_NEIGHBORS)
         # The solids' own search keeps their cells apart from those that lie around a fluid.
-        self._volumes: Kept[Tensor] = Kept()
+        self._volumes: TensorCache[Tensor] = TensorCache()
 
     def __call__(self, particles: Particles) -> Tensor:
         """ρ/ρ₀ of each fluid particle, (N,) float64; NaN where its position is not finite."""

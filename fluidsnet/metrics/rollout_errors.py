@@ -7,8 +7,8 @@ from typing import final
 import torch
 from torch import Tensor
 
+from fluidsnet.baselines import Baselines
 from fluidsnet.integrator import Integrator
-from fluidsnet.metrics.baselines import Baselines
 from fluidsnet.metrics.escaped import escaped
 from fluidsnet.metrics.position_error import distance_mm
 from fluidsnet.particles import Particles

@@ -9,7 +9,7 @@ from typing import final
 import torch
 from torch import Tensor
 
-from fluidsnet.metrics.baselines import Baselines
+from fluidsnet.baselines import Baselines
 from fluidsnet.metrics.center_of_mass import CenterOfMass
 from fluidsnet.metrics.chamfer import Chamfer
 from fluidsnet.metrics.density import Density

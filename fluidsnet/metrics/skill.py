@@ -9,10 +9,10 @@ from torch import Tensor
 from torchmetrics import Metric
 from torchmetrics.utilities import dim_zero_cat
 
+from fluidsnet.baselines import ballistic, constant_velocity
 from fluidsnet.metrics.frame_mean import frame_means, simulation_mean
 from fluidsnet.metrics.velocity_mse import squared_error
 from fluidsnet.particles import Particles
-from fluidsnet.trivial import ballistic, constant_velocity
 
 
 @final

@@ -6,7 +6,7 @@ from typing import final
 
 from fluidsnet.neighbors.cell_list import CellList
 from fluidsnet.neighbors.cell_list_cpu import CellListCPU
-from fluidsnet.neighbors.cells import Cells
+from fluidsnet.neighbors.cells import CellTable
 from fluidsnet.neighbors.search import Neighbors, NeighborSearch
 from fluidsnet.particles import Particles
 
@@ -33,5 +33,5 @@ class Auto(NeighborSearch):
         search = self._cpu if particles.position.device.type == "cpu" else self._elsewhere
         return search(particles)
 
-    def cells(self, particles: Particles) -> tuple[Cells, Cells] | None:
+    def cells(self, particles: Particles) -> tuple[CellTable, CellTable] | None:
         return self._cpu.cells(particles) if particles.position.device.type == "cpu" else None

@@ -9,7 +9,7 @@ from typing import final
 import torch
 from torch import Tensor
 
-from fluidsnet.neighbors.kept import Kept
+from fluidsnet.cache import TensorCache
 from fluidsnet.neighbors.search import Neighbors, NeighborSearch
 from fluidsnet.particles import Particles
 
@@ -38,14 +38,14 @@ class CellList(NeighborSearch):
         if pairs < 1:
             raise ValueError(f"pairs is {pairs}; at least one has to be looked at.")
         self.pairs = pairs
-        self._solids: Kept[_Cells] = Kept()
+        self._solids: TensorCache[SortedCells] = TensorCache()
 
     @torch.no_grad()
     def __call__(self, particles: Particles) -> Neighbors:
         radius, frames = particles.scene.support_radius, particles.frames
 
-        def sort(position: Tensor, frame: Tensor) -> _Cells:
-            return _Cells.sorted(position.float(), frame, frames, radius)
+        def sort(position: Tensor, frame: Tensor) -> SortedCells:
+            return SortedCells.sorted(position.float(), frame, frames, radius)
 
         fluid = sort(particles.position, particles.frame)
         solids = self._solids.get(
@@ -79,7 +79,7 @@ class CellList(NeighborSearch):
 
 
 @dataclass(frozen=True)
-class _Cells:
+class SortedCells:
     """P particles in the order of their cells.
 
     A cell's number is made of four fields, from high to low: frame, z, y, x. So three
@@ -100,7 +100,7 @@ class _Cells:
     bits: int
 
     @classmethod
-    def sorted(cls, position: Tensor, frame: Tensor, frames: int, radius: float) -> _Cells:
+    def sorted(cls, position: Tensor, frame: Tensor, frames: int, radius: float) -> SortedCells:
         """From positions (P, 3) in m, frames (P,), their number, and the support radius in m."""
         bits = (63 - frames.bit_length()) // 3
         size = 2**bits

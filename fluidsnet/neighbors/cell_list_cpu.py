@@ -9,8 +9,8 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from fluidsnet.neighbors.cells import Cells, is_finite, sort_into_cells
-from fluidsnet.neighbors.kept import Kept
+from fluidsnet.cache import TensorCache
+from fluidsnet.neighbors.cells import CellTable, is_finite, sort_into_cells
 from fluidsnet.neighbors.nearest import (
     BINS,
     BLOCK,
@@ -46,7 +46,7 @@ class CellListCPU(NeighborSearch):
 
     def __init__(self, k: int = 32) -> None:
         super().__init__(k)
-        self._solids: Kept[Cells] = Kept()
+        self._solids: TensorCache[CellTable] = TensorCache()
 
     def __call__(self, particles: Particles) -> Neighbors:
         fluid, solids = self.cells(particles)
@@ -66,12 +66,12 @@ class CellListCPU(NeighborSearch):
             torch.from_numpy(offset).to(device),
         )
 
-    def cells(self, particles: Particles) -> tuple[Cells, Cells]:
+    def cells(self, particles: Particles) -> tuple[CellTable, CellTable]:
         take_threads(len(particles))
         radius = particles.scene.support_radius
         extent: list[float] = particles.scene.extent.tolist()
 
-        def sort(position: Tensor, frame: Tensor) -> Cells:
+        def sort(position: Tensor, frame: Tensor) -> CellTable:
             # A radius of zero is allowed: then only who shares a place is a neighbor.
             width = max(_WIDTH * radius, 1e-30)
             return sort_into_cells(position, frame, particles.frames, width, extent)
@@ -86,7 +86,7 @@ class CellListCPU(NeighborSearch):
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _search(fluid: Cells, solids: Cells, limit: Any, nearest: Any, number: Any) -> None:
+def _search(fluid: CellTable, solids: CellTable, limit: Any, nearest: Any, number: Any) -> None:
     """Fills in the rows of the nearest (N, k), and how many there are (N,), by row."""
     count = len(fluid.row)
     for block in prange((count + BLOCK - 1) // BLOCK):

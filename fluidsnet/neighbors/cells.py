@@ -9,11 +9,11 @@ from numba import njit, prange
 from numpy.typing import NDArray
 from torch import Tensor
 
-# Cells per particle at most: what bounds the memory however far particles fly apart.
+# CellTable per particle at most: what bounds the memory however far particles fly apart.
 _CELLS_PER_PARTICLE = 4
 
 
-class Cells(NamedTuple):
+class CellTable(NamedTuple):
     """P particles, one cell's after another's; each frame has cells of its own.
 
     Along an axis the cells repeat: `size` is all there are of them where there is room, and
@@ -41,7 +41,7 @@ class Cells(NamedTuple):
 
 def sort_into_cells(
     position: Tensor, frame: Tensor, frames: int, width: float, extent: list[float]
-) -> Cells:
+) -> CellTable:
     """Sorts particles into cells.
 
     Args:
@@ -70,11 +70,11 @@ def sort_into_cells(
         size[axis] = max(3, int(spans[axis]) if spans[axis] <= fair else int(fair) | 1)
         room /= size[axis]
     start, row, place, of = _sort(places, in_frame, frames, 1.0 / width, size)
-    return Cells(start, row, place, of, size, 1.0 / width)
+    return CellTable(start, row, place, of, size, 1.0 / width)
 
 
 @njit(cache=True, error_model="numpy")
-def around(cells: Cells, frame: int, cell: Any, begin: Any, end: Any, found: int) -> Any:
+def around(cells: CellTable, frame: int, cell: Any, begin: Any, end: Any, found: int) -> Any:
     """Appends to begin and end the runs of particles in and around a cell, 27 at most.
 
     Args:
@@ -148,7 +148,7 @@ def _spans(place: Any, density: float) -> Any:
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _sort(place: Any, frame: Any, frames: int, density: float, size: Any) -> Any:
-    """A counting sort: start, row, place and frame of `Cells`."""
+    """A counting sort: start, row, place and frame of `CellTable`."""
     count = len(place)
     cells = frames * size[0] * size[1] * size[2]
     cell = np.empty(count, np.int32)

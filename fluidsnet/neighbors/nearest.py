@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from fluidsnet.neighbors.cells import Cells, around, cell_of
+from fluidsnet.neighbors.cells import CellTable, around, cell_of
 
 #: Particles a thread takes at a time.
 BLOCK = 1024
@@ -20,7 +20,7 @@ ROW = 0x7FFFFFFF
 
 
 @njit(cache=True, error_model="numpy")
-def enters(cells: Cells, s: int, cell: Any) -> Any:
+def enters(cells: CellTable, s: int, cell: Any) -> Any:
     """Whether a particle is in another cell than the one in `cell`; writes its own there.
 
     Args:
@@ -39,7 +39,7 @@ def enters(cells: Cells, s: int, cell: Any) -> Any:
 
 
 @njit(cache=True, error_model="numpy")
-def look_around(fluid: Cells, solids: Cells, cell: Any, begin: Any, end: Any) -> Any:
+def look_around(fluid: CellTable, solids: CellTable, cell: Any, begin: Any, end: Any) -> Any:
     """Writes the runs of candidates in and around a cell, the fluid's first.
 
     Args:
@@ -58,7 +58,7 @@ def look_around(fluid: Cells, solids: Cells, cell: Any, begin: Any, end: Any) ->
 
 @njit(cache=True, error_model="numpy")
 def collect(
-    fluid: Cells, solids: Cells, begin: Any, end: Any, runs: int, all_runs: int, place: Any,
+    fluid: CellTable, solids: CellTable, begin: Any, end: Any, runs: int, all_runs: int, place: Any,
     row: Any,
 ) -> Any:  # fmt: skip
     """Copies the runs of `look_around` side by side; returns how many of them are fluid."""
@@ -68,7 +68,9 @@ def collect(
 
 
 @njit(cache=True, error_model="numpy")
-def _copy(cells: Cells, first: int, begin: Any, end: Any, place: Any, row: Any, filled: int) -> Any:
+def _copy(
+    cells: CellTable, first: int, begin: Any, end: Any, place: Any, row: Any, filled: int
+) -> Any:
     """Copies runs of particles side by side, from `filled` on; returns where they end."""
     # Unsigned, since numba asks of every signed index whether it counts from the end.
     at: Any = np.uint64(filled)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from fluidsnet.neighbors.cells import Cells
+from fluidsnet.neighbors.cells import CellTable
 from fluidsnet.particles import Particles
 
 
@@ -54,7 +54,7 @@ class NeighborSearch(ABC):
     def __call__(self, particles: Particles) -> Neighbors:
         """The neighbors of each fluid particle, the nearest first."""
 
-    def cells(self, particles: Particles) -> tuple[Cells, Cells] | None:
+    def cells(self, particles: Particles) -> tuple[CellTable, CellTable] | None:
         """Fluid and solid particles sorted into cells as wide as the support radius.
 
         For who looks for neighbors without storing them; None where the backend has no such

@@ -52,7 +52,7 @@ class Line:
 
 
 def draw(lines: Sequence[Line], label: str, name: str) -> str:
-    """Draws curves over the training steps.
+    """Draw curves over the training steps.
 
     Values that are not finite leave a gap. The axis is logarithmic where all values are above
     zero and spread over more than a decade, and linear about zero and logarithmic beyond one

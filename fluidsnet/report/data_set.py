@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from callbacks.table import Cell
 from datamodules.schema import DAMAGE, SPLITS, Header, open_valid, simulations
 from fluidsnet.errors import UserError
 from fluidsnet.report.grid import Grid
+from fluidsnet.reporting.table import Cell
 
 
 def data_settings(config: Mapping[str, Any] | None) -> dict[str, Any]:

@@ -6,10 +6,10 @@ import csv
 import re
 from pathlib import Path
 
-from callbacks.table import markdown
 from fluidsnet.report.document import Document, Note, Table
 from fluidsnet.report.grid import Grid, shown
 from fluidsnet.report.page import page
+from fluidsnet.reporting.table import markdown
 
 
 def write_report(document: Document, folder: Path) -> Path:

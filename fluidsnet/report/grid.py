@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from callbacks.table import Cell
+from fluidsnet.reporting.table import Cell
 
 Key = TypeVar("Key", bound=Cell)
 

@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from callbacks.table import Cell
+from fluidsnet.baselines import TRIVIAL_PREDICTORS
 from fluidsnet.report.document import Note, Part, Picture, Section, Table
 from fluidsnet.report.grid import NONE, Grid, near, side_by_side
 from fluidsnet.report.run import ROLLED, TABLES, Run
 from fluidsnet.report.training import best_of
-from fluidsnet.trivial import TRIVIAL
+from fluidsnet.reporting.table import Cell
 
 _PICTURES = {
     "ablation.png": "The truth and every model against time; the lighter a particle, the faster",
     "rollout.png": "Truth and prediction side by side; the lighter a particle, the faster",
 }
-_TRIVIAL = tuple(name.replace("_", " ") for name in TRIVIAL)
+_TRIVIAL = tuple(name.replace("_", " ") for name in TRIVIAL_PREDICTORS)
 
 
 def glance_section(runs: Sequence[Run]) -> Section:

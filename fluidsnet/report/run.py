@@ -19,7 +19,7 @@ TABLES = {
     "one_step": "test",
     ROLLED: "test",
     "rollout": "predict",
-    "foreign_context": "test",
+    "global_feature_permutation": "test",
 }
 CONFIG = "config.yaml"
 #: What each PNG file begins with.

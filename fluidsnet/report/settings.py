@@ -14,9 +14,9 @@ from jsonargparse import ArgumentParser
 from lightning import Trainer
 
 import fluidsnet
-from callbacks.table import Cell
 from fluidsnet.cli import SEED
 from fluidsnet.report.grid import NONE, Grid, union
+from fluidsnet.reporting.table import Cell
 
 #: The files that say what is shipped, in the folder `configs` of the repository.
 SHIPPED = ("trainer.yaml", "model/paper.yaml")

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from callbacks.table import Cell
 from fluidsnet.report.curves import Line, draw
 from fluidsnet.report.document import Chart, Note, Part, Section, Table
 from fluidsnet.report.events import RATE, TRAINED, Curve, finite, tags
 from fluidsnet.report.grid import NONE, Grid, shown
 from fluidsnet.report.run import Run
+from fluidsnet.reporting.table import Cell
 
 _ABLATION = "ablation/"
 _COST = "ablation/cost/"
@@ -62,7 +62,7 @@ def ablation_section(runs: Sequence[Run]) -> Section:
             found += tags([run.history], f"{each}/")
         if found:
             section.parts += _ablation(run, found)
-        grid = run.tables.get("foreign_context")
+        grid = run.tables.get("global_feature_permutation")
         if grid is not None:
             caption = f"Is the global feature used? {run.name} with its own and with a foreign one"
             section.parts.append(Table(f"foreign_context_{run.name}", caption, grid))

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from fluidsnet.features.context import GlobalVector
+from fluidsnet.features.global_feature import GlobalVector
 from fluidsnet.features.local import NeighborMean
 from fluidsnet.network import Network
 
@@ -55,7 +55,7 @@ def floor(network: Network, particles: int, edges: float) -> dict[str, float] | 
     Returns:
         `bytes` and `operations`; None for other networks.
     """
-    local, context = network.local, network.context
+    local, context = network.local, network.global_feature
     if not (isinstance(local, NeighborMean) and isinstance(context, GlobalVector)):
         return None
     layers: list[Any] = [layer for layer in local.edge if isinstance(layer, torch.nn.Linear)]

@@ -13,10 +13,10 @@ import fluidsnet.neighbors
 from fluidsnet.errors import UserError
 from fluidsnet.module import FluidsNet
 from fluidsnet.neighbors import NeighborSearch
-from fluidsnet.studies.dam import CELLS
+from fluidsnet.studies.dam_break import CELLS
 
 # Of training; no study of speed needs them.
-_TRAINING = ("optimizer", "schedule", "noise", "cells")
+_TRAINING = ("optimizer", "schedule", "noise", "grid_shape")
 
 
 def load_model(model: str | None, run: str | None, neighbors: str, time_step: float) -> FluidsNet:
@@ -35,19 +35,22 @@ def load_model(model: str | None, run: str | None, neighbors: str, time_step: fl
     """
     torch.manual_seed(0)
     weights: dict[str, Any] = {}
-    cells = CELLS
+    grid_shape = CELLS
     if run is not None:
         folder = Path(run)
         model = str(folder / "config.yaml")
         checkpoint = _checkpoint(folder)
-        weights, cells = checkpoint["state_dict"], tuple(checkpoint["hyper_parameters"]["cells"])
+        weights, grid_shape = (
+            checkpoint["state_dict"],
+            tuple(checkpoint["hyper_parameters"]["grid_shape"]),
+        )
         trained = float(weights["time_step"])
         if abs(trained - time_step) > 1e-6 * trained:
             raise UserError(
                 f"{run} was trained at a time step of {trained:g} s, not {time_step:g} s; "
                 f"add --time_step {trained:g}."
             )
-    module = FluidsNet(cells) if model is None else _configured(Path(model), cells)
+    module = FluidsNet(grid_shape) if model is None else _configured(Path(model), grid_shape)
     if weights:
         module.load_state_dict(weights)
     module.network.neighbors = search(neighbors, module.network.neighbors.k)
@@ -75,7 +78,7 @@ def _checkpoint(folder: Path) -> dict[str, Any]:
     raise UserError(f"{folder} is not the folder of a run: it has no checkpoints/best.ckpt.")
 
 
-def _configured(path: Path, cells: tuple[int, ...]) -> FluidsNet:
+def _configured(path: Path, grid_shape: tuple[int, ...]) -> FluidsNet:
     try:
         described: dict[str, Any] = dict(yaml.safe_load(path.read_text())["model"])
     except (OSError, TypeError, KeyError, ValueError, yaml.YAMLError) as error:
@@ -89,7 +92,7 @@ def _configured(path: Path, cells: tuple[int, ...]) -> FluidsNet:
     parser.add_subclass_arguments(FluidsNet, "model")
     try:
         options = parser.parse_object(
-            {"model": {**described, "init_args": {**settings, "cells": list(cells)}}}
+            {"model": {**described, "init_args": {**settings, "grid_shape": list(grid_shape)}}}
         )
         module: FluidsNet = parser.instantiate(options).model
     except (ValueError, TypeError) as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from callbacks.table import Cell, markdown
+from fluidsnet.reporting.table import Cell, markdown
 
 #: What they were measured on (section 5.2).
 HARDWARE = "Nvidia GeForce GTX 1080 Ti, Intel Xeon E5-2623"

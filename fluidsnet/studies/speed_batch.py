@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from callbacks.table import Cell, markdown
+from fluidsnet.reporting.table import Cell, markdown
 from fluidsnet.studies.paper_tables import batches
 from fluidsnet.studies.speed_number import number
 from fluidsnet.studies.speed_row import Spread

@@ -11,7 +11,7 @@ from fluidsnet.studies.speed_row import Row
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
-    """Draws a line a way, both axes logarithmic; a bar says the spread.
+    """Draw a line a way, both axes logarithmic; a bar says the spread.
 
     Args:
         rows: of the study; those without a time are left out.

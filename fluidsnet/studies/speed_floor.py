@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from callbacks.table import Cell, markdown
+from fluidsnet.reporting.table import Cell, markdown
 from fluidsnet.studies.speed_number import number
 
 

@@ -6,7 +6,7 @@ import csv
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from callbacks.table import Cell, markdown
+from fluidsnet.reporting.table import Cell, markdown
 from fluidsnet.studies.machine import BUSY
 from fluidsnet.studies.paper_tables import large_scenes
 from fluidsnet.studies.speed_batch import Batch, table_3

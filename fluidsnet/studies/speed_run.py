@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from fluidsnet.errors import UserError
 from fluidsnet.studies.cores import floor
-from fluidsnet.studies.dam import Dam
+from fluidsnet.studies.dam_break import Dam
 from fluidsnet.studies.machine import BUSY, OtherLoad, cpu_model, device_name, versions
 from fluidsnet.studies.model import load_model
 from fluidsnet.studies.own_process import in_own_process

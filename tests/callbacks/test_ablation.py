@@ -16,11 +16,11 @@ from torch import Tensor
 from callbacks import Ablation
 from datamodules import SPHDataModule
 from fluidsnet import FluidsNet
-from fluidsnet.draws import Draws, alike
 from fluidsnet.errors import UserError
-from fluidsnet.features import GlobalVector, NoContext
+from fluidsnet.features import GlobalVector, NoGlobalFeature
 from fluidsnet.integrator import Euler, Trapezoid
 from fluidsnet.noise import StartNoise
+from fluidsnet.rng import preserve_rng_state, with_same_rng
 from fluidsnet.target import AccelerationTarget, VelocityTarget
 from fluidsnet.walls import StopAtWalls
 
@@ -83,14 +83,14 @@ def assert_equal(found: Weights, expected: Weights) -> None:
 def test_a_twin_differs_in_its_block_alone_and_starts_from_the_same_weights() -> None:
     torch.manual_seed(0)
     model = FluidsNet((6, 4, 6), noise=StartNoise(0.3), walls=StopAtWalls(0.5))
-    with Draws():
+    with preserve_rng_state():
         expected = torch.rand(3)
     target, context = (
         model.twin({"target": AccelerationTarget()}),
-        model.twin({"context": NoContext}),
+        model.twin({"global_feature": NoGlobalFeature}),
     )
     assert torch.equal(torch.rand(3), expected)
-    for twin, changed in ((target, "target"), (context, "context")):
+    for twin, changed in ((target, "target"), (context, "global_feature")):
         for name, block in twin.blocks().items():
             mine = model.blocks()[name]
             assert block is not mine
@@ -109,13 +109,13 @@ def test_a_twin_differs_in_its_block_alone_and_starts_from_the_same_weights() ->
 
 
 @pytest.mark.parametrize("clip", [None, 0.05])
-@pytest.mark.parametrize("block", ["target", "context"])
+@pytest.mark.parametrize("block", ["target", "global_feature"])
 def test_model_and_twin_train_as_each_would_alone(
     sample: Path, tmp_path: Path, block: str, clip: float | None
 ) -> None:
     changed: dict[str, Any] = {
         "target": {"target": AccelerationTarget()},
-        "context": {"context": NoContext},
+        "global_feature": {"global_feature": NoGlobalFeature},
     }[block]
     # Without a vector no empty cells are drawn, and noise drawn after them would be another.
     blocks: dict[str, Any] = {"noise": StartNoise()} if block == "target" else {}
@@ -147,10 +147,10 @@ def _trained(sample: Path, folder: Path, **changes: Any) -> tuple[FluidsNet, Pat
     """Two epochs beside a twin, and the checkpoint of the first; nothing is drawn."""
     source = data(sample, InOrder)
     torch.manual_seed(0)
-    model = FluidsNet(source.cells, context=partial(GlobalVector, empty_variance=0.0))
+    model = FluidsNet(source.grid_shape, global_feature=partial(GlobalVector, empty_variance=0.0))
     saver = ModelCheckpoint(folder, filename="{epoch}", save_top_k=-1)
     run = trainer(
-        folder, Ablation("context", NoContext, "other"), saver,
+        folder, Ablation("global_feature", NoGlobalFeature, "other"), saver,
         max_epochs=2, limit_train_batches=3, enable_checkpointing=True, **changes,
     )  # fmt: skip
     run.fit(model, source)
@@ -162,9 +162,12 @@ def test_a_resumed_training_ends_where_an_uninterrupted_one_does(
 ) -> None:
     model, kept = _trained(sample, tmp_path)
     source = data(sample, InOrder)
-    again = FluidsNet(source.cells, context=partial(GlobalVector, empty_variance=0.0))
+    again = FluidsNet(source.grid_shape, global_feature=partial(GlobalVector, empty_variance=0.0))
     run = trainer(
-        tmp_path, Ablation("context", NoContext, "other"), max_epochs=2, limit_train_batches=3
+        tmp_path,
+        Ablation("global_feature", NoGlobalFeature, "other"),
+        max_epochs=2,
+        limit_train_batches=3,
     )
     run.fit(again, source, ckpt_path=kept, weights_only=True)
     assert_equal(weights(again), weights(model))
@@ -178,22 +181,24 @@ def test_a_checkpoint_can_be_used_without_its_twin_but_not_resumed(
     alone = FluidsNet.load_from_checkpoint(kept)
     expected = {name for name in model.state_dict() if not name.startswith("twins.")}
     assert alone.state_dict().keys() == expected
-    plain = FluidsNet(source.cells)
+    plain = FluidsNet(source.grid_shape)
     found = trainer(tmp_path).test(plain, source, ckpt_path=kept, verbose=False)[0]
     assert not [name for name in found if "other" in name]
-    trainer(tmp_path, Ablation("context", NoContext, "other")).predict(
-        FluidsNet(source.cells), source, ckpt_path=kept
+    trainer(tmp_path, Ablation("global_feature", NoGlobalFeature, "other")).predict(
+        FluidsNet(source.grid_shape), source, ckpt_path=kept
     )
 
     def resume(*callbacks: Callback) -> None:
         run = trainer(tmp_path, *callbacks, max_epochs=2)
-        run.fit(FluidsNet(source.cells), source, ckpt_path=kept)
+        run.fit(FluidsNet(source.grid_shape), source, ckpt_path=kept)
 
     with pytest.raises(UserError, match="beside a twin 'other'"):
         resume()
     with pytest.raises(UserError, match="holds no twin 'another'"):
-        resume(Ablation("context", NoContext, "another"))
-    with pytest.raises(UserError, match=r"'other' .* has the context NoContext.*GlobalVector"):
+        resume(Ablation("global_feature", NoGlobalFeature, "another"))
+    with pytest.raises(
+        UserError, match=r"'other' .* has the global_feature NoGlobalFeature.*GlobalVector"
+    ):
         resume(Ablation("integrator", Trapezoid(), "other"))
 
 
@@ -204,8 +209,8 @@ def test_a_twin_of_a_block_without_weights_is_known_by_it(sample: Path, tmp_path
         tmp_path, Ablation("integrator", Trapezoid(), "other"), saver,
         max_steps=1, enable_checkpointing=True,
     )  # fmt: skip
-    run.fit(FluidsNet(source.cells, context=NoContext), source)
-    model = FluidsNet(source.cells, context=NoContext)
+    run.fit(FluidsNet(source.grid_shape, global_feature=NoGlobalFeature), source)
+    model = FluidsNet(source.grid_shape, global_feature=NoGlobalFeature)
     with pytest.raises(UserError, match=r"'other' .* has the integrator Trapezoid.*Euler"):
         trainer(tmp_path, Ablation("walls", StopAtWalls(), "other")).test(
             model, source, ckpt_path=tmp_path / "kept.ckpt", verbose=False
@@ -216,7 +221,7 @@ def test_several_twins_train_beside_one_model_and_are_measured(
     sample: Path, tmp_path: Path
 ) -> None:
     source = data(sample)
-    model = FluidsNet(source.cells, context=NoContext)
+    model = FluidsNet(source.grid_shape, global_feature=NoGlobalFeature)
     ablations = (
         Ablation("target", AccelerationTarget(), "acceleration"),
         Ablation("integrator", Trapezoid(), "trapezoid"),
@@ -251,10 +256,20 @@ def test_several_twins_train_beside_one_model_and_are_measured(
 @pytest.mark.parametrize(
     ("block", "variant", "name", "words"),
     [
-        ("targets", AccelerationTarget(), "other", "no block 'targets'; the blocks are context,"),
+        (
+            "targets",
+            AccelerationTarget(),
+            "other",
+            "no block 'targets'; the blocks are global_feature,",
+        ),
         ("optimizer", None, "other", "no block 'optimizer'"),
         ("target", Trapezoid(), "other", "Trapezoid cannot be the target"),
-        ("context", AccelerationTarget(), "other", "AccelerationTarget cannot be the context"),
+        (
+            "global_feature",
+            AccelerationTarget(),
+            "other",
+            "AccelerationTarget cannot be the global_feature",
+        ),
         ("walls", None, "other", "None cannot be the walls"),
         ("head", "32", "other", "32 cannot be the head"),
         ("target", AccelerationTarget(), "model", "'model' is taken"),
@@ -273,8 +288,8 @@ def test_what_cannot_be_a_twin_is_refused(block: str, variant: Any, name: str, w
     ("block", "variant"),
     [
         ("target", VelocityTarget()),
-        ("context", GlobalVector),
-        ("context", partial(GlobalVector, seed=0)),
+        ("global_feature", GlobalVector),
+        ("global_feature", partial(GlobalVector, seed=0)),
         ("integrator", Euler()),
         ("head", [32, 16, 8]),
         ("noise", None),
@@ -286,15 +301,15 @@ def test_a_twin_that_would_not_differ_is_refused(
     source = data(sample)
     with pytest.raises(UserError, match="name a variant that differs"):
         trainer(tmp_path, Ablation(block, variant, "other"), max_steps=1).fit(
-            FluidsNet(source.cells), source
+            FluidsNet(source.grid_shape), source
         )
 
 
 @pytest.mark.parametrize(
     ("block", "variant"),
     [
-        ("context", partial(GlobalVector, separable=False)),
-        ("context", partial(GlobalVector, empty_variance=0.1)),
+        ("global_feature", partial(GlobalVector, separable=False)),
+        ("global_feature", partial(GlobalVector, empty_variance=0.1)),
         ("walls", StopAtWalls(0.5)),
         ("noise", StartNoise(0.2)),
     ],
@@ -307,15 +322,15 @@ def test_other_settings_make_a_twin(block: str, variant: Any) -> None:
 
 
 def test_two_twins_of_one_name_and_scaled_losses_are_refused(sample: Path, tmp_path: Path) -> None:
-    source, twin = data(sample), ("context", NoContext, "other")
+    source, twin = data(sample), ("global_feature", NoGlobalFeature, "other")
     with pytest.raises(UserError, match="Two callbacks Ablation have the name 'other'"):
         trainer(tmp_path, Ablation(*twin), Ablation(*twin), max_steps=1).fit(
-            FluidsNet(source.cells), source
+            FluidsNet(source.grid_shape), source
         )
     run = trainer(tmp_path, Ablation(*twin), max_steps=1)
     run.strategy.precision_plugin.scaler = object()  # type: ignore[attr-defined]
     with pytest.raises(UserError, match="use bf16-mixed or 32"):
-        run.fit(FluidsNet(source.cells), source)
+        run.fit(FluidsNet(source.grid_shape), source)
 
 
 def test_calls_draw_alike_and_leave_what_the_first_leaves(device: torch.device) -> None:
@@ -325,6 +340,6 @@ def test_calls_draw_alike_and_leave_what_the_first_leaves(device: torch.device) 
     torch.manual_seed(0)
     first, later = draw(2), draw(1)
     torch.manual_seed(0)
-    results = alike(device, [partial(draw, 2), partial(draw, 5), partial(draw, 1)])
+    results = with_same_rng(device, [partial(draw, 2), partial(draw, 5), partial(draw, 1)])
     assert all(torch.equal(result[0], first[0]) for result in results)
     assert torch.equal(draw(1), later)

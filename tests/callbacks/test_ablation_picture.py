@@ -22,7 +22,7 @@ from datamodules import SPHDataModule
 from fluidsnet import FluidsNet
 from fluidsnet.errors import UserError
 from fluidsnet.export import Panel
-from fluidsnet.features import NoContext
+from fluidsnet.features import NoGlobalFeature
 from fluidsnet.integrator import Integrator
 from fluidsnet.particles import Particles
 from fluidsnet.rollout import rollout
@@ -49,8 +49,8 @@ def trainer(folder: Path, *callbacks: Any, **changes: Any) -> Trainer:
 def made(sample: Path, **changes: Any) -> tuple[FluidsNet, SPHDataModule]:
     torch.manual_seed(0)
     source = SPHDataModule(sample, voxel_size=0.25)
-    model = FluidsNet(source.cells, context=NoContext, **changes)
-    model.learn_scale(source.statistics, source.time_step)
+    model = FluidsNet(source.grid_shape, global_feature=NoGlobalFeature, **changes)
+    model.set_statistics(source.statistics, source.time_step)
     return model, source
 
 

@@ -15,7 +15,7 @@ from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 from callbacks import HyperParameters
 from datamodules import SPHDataModule
 from fluidsnet import FluidsNet
-from fluidsnet.features import NoContext
+from fluidsnet.features import NoGlobalFeature
 
 
 class Breaks(Callback):
@@ -48,7 +48,7 @@ def test_a_training_that_broke_may_still_succeed(sample: Path, tmp_path: Path) -
             callbacks=[HyperParameters(metrics=["val/skill"]), *more],
         )
         try:
-            runner.fit(FluidsNet(source.cells, context=NoContext), source)
+            runner.fit(FluidsNet(source.grid_shape, global_feature=NoGlobalFeature), source)
         finally:
             source.teardown("fit")
             logger.experiment.flush()
@@ -59,7 +59,7 @@ def test_a_training_that_broke_may_still_succeed(sample: Path, tmp_path: Path) -
     found = plugin(tmp_path)
     assert "_hparams_/session_end_info" not in found
     start = found["_hparams_/session_start_info"].session_start_info.hparams
-    assert start["block/context"].string_value == "NoContext"
+    assert start["block/global_feature"].string_value == "NoGlobalFeature"
     (metric,) = found["_hparams_/experiment"].experiment.metric_infos
     assert metric.name.tag == "val/skill"
     fit()

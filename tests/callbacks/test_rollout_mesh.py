@@ -17,7 +17,7 @@ from callbacks import RolloutMesh, TrajectoryWriter
 from datamodules import SPHDataModule
 from fluidsnet import FluidsNet
 from fluidsnet.errors import UserError
-from fluidsnet.features import NoContext
+from fluidsnet.features import NoGlobalFeature
 from fluidsnet.integrator import Integrator
 from fluidsnet.particles import Particles
 from fluidsnet.statistics import Statistics
@@ -61,8 +61,8 @@ class Fast(Target):
 
 def rolled_out(sample: Path, folder: Path, mesh: RolloutMesh, **blocks: Any) -> EventAccumulator:
     source = SPHDataModule(sample, voxel_size=0.25, rollout_steps=4)
-    model = FluidsNet(source.cells, context=NoContext, **blocks)
-    model.learn_scale(source.statistics, source.time_step)
+    model = FluidsNet(source.grid_shape, global_feature=NoGlobalFeature, **blocks)
+    model.set_statistics(source.statistics, source.time_step)
     Trainer(
         accelerator="cpu",
         devices=1,

@@ -21,7 +21,7 @@ from callbacks import Ablation, RolloutMetrics
 from datamodules import SPHDataModule
 from fluidsnet import FluidsNet
 from fluidsnet.errors import UserError
-from fluidsnet.features import NoContext
+from fluidsnet.features import NoGlobalFeature
 from fluidsnet.integrator import Integrator
 from fluidsnet.particles import Particles
 from fluidsnet.rollout import rollout
@@ -57,8 +57,8 @@ def scalars(folder: Path) -> EventAccumulator:
 
 
 def trained(source: SPHDataModule, **changes: Any) -> FluidsNet:
-    model = FluidsNet(source.cells, context=NoContext, **changes)
-    model.learn_scale(source.statistics, source.time_step)
+    model = FluidsNet(source.grid_shape, global_feature=NoGlobalFeature, **changes)
+    model.set_statistics(source.statistics, source.time_step)
     return model
 
 
@@ -87,7 +87,7 @@ def test_every_second_validation_is_logged(
 ) -> None:
     runner = trainer(tmp_path, RolloutMetrics(steps=3, every_n_validations=2), **changes)
     source = data(sample)
-    runner.fit(FluidsNet(source.cells, context=NoContext), source)
+    runner.fit(FluidsNet(source.grid_shape, global_feature=NoGlobalFeature), source)
     logged = scalars(tmp_path)
     for name in (
         "rollout/position_error_mm/3",
@@ -109,7 +109,7 @@ def test_a_checkpoint_can_monitor_what_every_validation_measures(
     rollouts = RolloutMetrics(steps=2, every_n_validations=1)
     runner = trainer(tmp_path, rollouts, saver, enable_checkpointing=True, max_epochs=2)
     source = data(sample)
-    runner.fit(FluidsNet(source.cells, context=NoContext), source)
+    runner.fit(FluidsNet(source.grid_shape, global_feature=NoGlobalFeature), source)
     best = min(event.value for event in scalars(tmp_path).Scalars(str(saver.monitor)))
     assert float(saver.best_model_score or 0) == pytest.approx(best)
 
@@ -206,7 +206,7 @@ def test_those_with_a_name_measure_apart(sample: Path, tmp_path: Path) -> None:
     changes: dict[str, Any] = {"steps": 3, "every_n_validations": 2}
     both = (RolloutMetrics(**changes), RolloutMetrics(starts=[0.5], name="late", **changes))
     runner = trainer(tmp_path, *both, max_epochs=2)
-    model = FluidsNet(source.cells, context=NoContext)
+    model = FluidsNet(source.grid_shape, global_feature=NoGlobalFeature)
     runner.fit(model, source)
     assert {"rollout/kinetic_energy/3", "rollout_late/kinetic_energy/3"} <= set(
         runner.callback_metrics
@@ -244,7 +244,7 @@ def test_what_is_logged_beside_stands_at_the_same_steps(sample: Path, tmp_path: 
         accumulate_grad_batches=2,
     )
     source = data(sample)
-    runner.fit(FluidsNet(source.cells, context=NoContext), source)
+    runner.fit(FluidsNet(source.grid_shape, global_feature=NoGlobalFeature), source)
     mine, others = (
         [event.step for event in scalars(tmp_path).Scalars(tag)]
         for tag in ("rollout/mse_n_m2/1", "rollout_predictors/mse_n_m2/1/ballistic")
@@ -262,7 +262,7 @@ def test_another_module_or_other_data_are_refused(sample: Path, tmp_path: Path) 
 def test_none_is_measured_where_none_is_asked_for(sample: Path, tmp_path: Path) -> None:
     source = data(sample)
     runner = trainer(tmp_path, RolloutMetrics(every_n_validations=0), max_epochs=1)
-    runner.fit(FluidsNet(source.cells, context=partial(NoContext)), source)
+    runner.fit(FluidsNet(source.grid_shape, global_feature=partial(NoGlobalFeature)), source)
     assert not [name for name in runner.callback_metrics if name.startswith("rollout/")]
 
 
@@ -273,7 +273,7 @@ def test_models_side_by_side_are_rolled_out_each(sample: Path, tmp_path: Path) -
         Ablation("target", AccelerationTarget(), "acceleration"),
         RolloutMetrics(steps=5, simulations=1, every_n_validations=1),
     )
-    model = FluidsNet(source.cells, context=NoContext)
+    model = FluidsNet(source.grid_shape, global_feature=NoGlobalFeature)
     runner = trainer(tmp_path, *callbacks, max_epochs=1)
     runner.fit(model, source)
     runner.test(model, source, verbose=False)

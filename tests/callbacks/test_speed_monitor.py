@@ -17,7 +17,7 @@ from callbacks import HyperParameters, LossChart, SpeedMonitor
 from datamodules import SPHDataModule
 from fluidsnet import FluidsNet
 from fluidsnet.errors import UserError
-from fluidsnet.features import NoContext
+from fluidsnet.features import NoGlobalFeature
 from fluidsnet.particles import Transitions
 
 
@@ -42,7 +42,7 @@ def fit(sample: Path, folder: Path, *callbacks: Callback, **changes: Any) -> dic
     """Weights after eight batches, with two validations on the way."""
     torch.manual_seed(0)
     source = SPHDataModule(sample, voxel_size=0.25, batch_size=1, sample_every=6, steps=2)
-    model = FluidsNet(source.cells, context=NoContext)
+    model = FluidsNet(source.grid_shape, global_feature=NoGlobalFeature)
     Trainer(
         **{
             "accelerator": "cuda" if torch.cuda.is_available() else "cpu",

@@ -251,7 +251,7 @@ def test_cells_cover_the_domain(
 def test_the_scene_is_known_before_setup(sample: Path) -> None:
     data = SPHDataModule(sample, voxel_size=1 / 12, stride=2)
     assert data.time_step == pytest.approx(0.04)
-    assert data.cells == (18, 12, 18)
+    assert data.grid_shape == (18, 12, 18)
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from fluidsnet.features import (
 )
 from fluidsnet.features.dense import squash
 from fluidsnet.features.perceptron import Perceptron
-from fluidsnet.features.voxel import occupied_cells
+from fluidsnet.features.voxel import occupied_voxels
 from fluidsnet.integrator import Euler
 from fluidsnet.neighbors import Auto, BruteForce, CellListCPU, NeighborSearch
 from fluidsnet.network import Network
@@ -235,7 +235,7 @@ def test_the_voxel_feature_without_gradients(
 ) -> None:
     torch.manual_seed(0)
     particles = _frames(*counts)
-    cells, voxel = occupied_cells(particles, (6, 4, 5)), VoxelFeature(16, widths).eval()
+    cells, voxel = occupied_voxels(particles, (6, 4, 5)), VoxelFeature(16, widths).eval()
     for layer in voxel.layers:
         nn.init.normal_(layer.norm.running_mean)
         nn.init.uniform_(layer.norm.running_var, 0.5, 2)
@@ -250,7 +250,7 @@ def test_the_voxel_feature_has_the_gradients_of_the_plain_one(make_particles: Ma
     torch.manual_seed(0)
     particles = make_particles((400, 0), (100, 0))
     device = particles.position.device
-    cells, voxel = occupied_cells(particles, (4, 3, 4)), VoxelFeature(16).to(device).double()
+    cells, voxel = occupied_voxels(particles, (4, 3, 4)), VoxelFeature(16).to(device).double()
     features = torch.randn(500, 16, device=device, dtype=torch.float64, requires_grad=True)
     weights = [features, *voxel.parameters()]
     plain = _voxels(voxel.layers, features, cells.index, len(cells.cell))

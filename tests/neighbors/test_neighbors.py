@@ -245,7 +245,7 @@ def test_resting_solids_are_sorted_once(
     from fluidsnet.neighbors import kept
 
     made = 0
-    genuine = kept.Kept.get
+    genuine = kept.TensorCache.get
 
     def counting(self, tensors, settings, make):  # type: ignore[no-untyped-def]
         def counted(*given: Tensor) -> object:
@@ -255,7 +255,7 @@ def test_resting_solids_are_sorted_once(
 
         return genuine(self, tensors, settings, counted)
 
-    monkeypatch.setattr(kept.Kept, "get", counting)
+    monkeypatch.setattr(kept.TensorCache, "get", counting)
     search = backend(K)
     particles = _frames()
     for _ in range(3):

@@ -72,7 +72,7 @@ def test_an_interrupted_study_goes_on_and_ends_once(
     main(words)
     assert json.loads((run / NOTE).read_text())["done"] == ["fit", "test"]
     assert "Restored all states from the checkpoint" in (run / "fit.log").read_text()
-    for name in ("one_step.csv", "rollout_metrics.csv", "foreign_context.csv"):
+    for name in ("one_step.csv", "rollout_metrics.csv", "global_feature_permutation.csv"):
         assert (run / name).exists()
     assert (folder / "ablations.md").read_text() in capsys.readouterr().out
 

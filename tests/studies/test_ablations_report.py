@@ -431,14 +431,14 @@ def test_a_rollout_that_blew_up_is_infinite(copy: Copy, tmp_path: Path) -> None:
 
 def test_what_is_missing_is_said(copy: Copy, tmp_path: Path) -> None:
     made = copy(2)
-    path = "foreign_context.csv"
+    path = "global_feature_permutation.csv"
     ratio = number(
         made[0].folder / path, "velocity_mse / own", **{"global feature of": "another frame"}
     )
     (made[1].folder / path).unlink()
     text = write_report(tmp_path, made, 7)
     assert "**2 of 7 runs are finished.**" in text
-    assert "dam, stride 1, seed 1: there is no foreign_context.csv.\n" in text
+    assert "dam, stride 1, seed 1: there is no global_feature_permutation.csv.\n" in text
     assert "seed 0: there" not in text
     part = text[text.index("## Does the network look") :]
     assert row(part, "dam")[2:] == ["1", f"{ratio:.4g} (1 of 2 seeds)"]

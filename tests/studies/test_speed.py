@@ -13,7 +13,7 @@ from fluidsnet.network import Network
 from fluidsnet.studies import speed_run, speed_solver
 from fluidsnet.studies.bench import measure
 from fluidsnet.studies.cores import floor
-from fluidsnet.studies.dam import Dam
+from fluidsnet.studies.dam_break import Dam
 from fluidsnet.studies.model import load_model
 from fluidsnet.studies.speed_number import number
 from fluidsnet.studies.speed_report import Report

@@ -11,7 +11,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from callbacks.rollout_curves import COLORS, TWIN_COLORS
+from fluidsnet.reporting.rollout_curves import COLORS, TWIN_COLORS
 from fluidsnet.studies.ablations.group import Group
 from fluidsnet.studies.ablations.numbers import ACCELERATION, MODEL, MOTION, WITHOUT
 
@@ -32,7 +32,7 @@ _ENERGIES = 3.0
 
 
 def draw_figures(folder: Path, groups: Sequence[Group]) -> None:
-    """Draws ``target.png``, ``global_feature.png`` and ``global_feature_energy.png``.
+    """Draw ``target.png``, ``global_feature.png`` and ``global_feature_energy.png``.
 
     The first corresponds to the paper's figure 11: both models' `velocity_mse` on the validation
     split against the training step. The second is the same with and without the global feature;

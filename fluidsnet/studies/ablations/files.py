@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from callbacks.table import Cell, write_csv
+from fluidsnet.reporting.table import Cell, write_csv
 from fluidsnet.studies.ablations.comparison import Comparison
 from fluidsnet.studies.ablations.group import Group
 from fluidsnet.studies.ablations.numbers import STARTS

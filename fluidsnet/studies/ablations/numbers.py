@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from callbacks.table import Cell
 from fluidsnet.report.events import RATE, TRAINED, Curve
 from fluidsnet.report.grid import Grid
 from fluidsnet.report.run import ROLLED, Run, read_runs
+from fluidsnet.reporting.table import Cell
 from fluidsnet.studies.ablations.trained_run import TrainedRun
 
 #: The paper's network, and the twins that an `Ablation` trains beside it.
@@ -24,7 +24,7 @@ REST, MOTION = ROLLED, f"{ROLLED}_in_motion"
 #: Names for a reader.
 STARTS = {REST: "from rest", MOTION: "in motion"}
 #: Tables of a run that the study is read from.
-_READ = ("one_step", *STARTS, "foreign_context")
+_READ = ("one_step", *STARTS, "global_feature_permutation")
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Numbers:
     def foreign_ratio(self) -> float | None:
         """`velocity_mse` with another frame's global feature over that with its own."""
         row: dict[str, Cell] = {"global feature of": "another frame"}
-        return self._find("foreign_context", row, "velocity_mse / own")
+        return self._find("global_feature_permutation", row, "velocity_mse / own")
 
     @property
     def training_steps(self) -> int:

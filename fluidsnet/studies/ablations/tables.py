@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from statistics import fmean, median, stdev
 
-from callbacks.table import Cell, markdown
 from fluidsnet.report.grid import NONE, near, shown
+from fluidsnet.reporting.table import Cell, markdown
 from fluidsnet.studies.ablations.comparison import Comparison
 from fluidsnet.studies.ablations.flatness import Flatness, worst
 from fluidsnet.studies.ablations.group import Group

@@ -12,9 +12,9 @@ import torch
 from torch import Tensor, nn
 from torch_scatter import gather_csr, segment_csr
 
+from fluidsnet.features.float32_linear import Float32Linear
 from fluidsnet.features.input import FLUID, SOLID, InputFeature
 from fluidsnet.features.local import LocalFeature, edge_offsets
-from fluidsnet.features.precise import PreciseLinear
 from fluidsnet.neighbors.search import Neighbors
 from fluidsnet.particles import Particles
 
@@ -39,7 +39,7 @@ class KernelMessages(LocalFeature):
     def __init__(self, width: int = 24, rounds: int = 2) -> None:
         super().__init__()
         self.width = width
-        self.offset = nn.ModuleList(PreciseLinear(3, width, bias=False) for _ in range(rounds))
+        self.offset = nn.ModuleList(Float32Linear(3, width, bias=False) for _ in range(rounds))
         # Of a sender: velocity, marker, and from the second round on its feature.
         self.sender = nn.ModuleList(
             nn.Linear(4 + (width if number else 0), width) for number in range(rounds)

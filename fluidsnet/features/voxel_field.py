@@ -11,30 +11,32 @@ import torch
 from torch import Tensor, nn
 from torch_scatter import scatter
 
-from fluidsnet.features.context import Context
-from fluidsnet.features.precise import PreciseLinear, precise_on_cpu
-from fluidsnet.features.voxel import GridShape, occupied_cells
+from fluidsnet.features.float32_linear import Float32Linear, float32_on_cpu
+from fluidsnet.features.global_feature import GlobalFeature
+from fluidsnet.features.voxel import GridShape, occupied_voxels
 from fluidsnet.particles import Particles
 
 
 @final
-class VoxelField(Context):
+class VoxelField(GlobalFeature):
     """Means over cells, a U-Net of 3-D convolutions, and the field at each particle's place.
 
     Pressure acts over the whole depth of a fluid at once; coarse levels carry that far, and
     the interpolation keeps the field continuous where a particle changes its cell.
 
     Args:
-        cells: of the background grid, at the finest level.
+        grid_shape: cells of the background grid, at the finest level.
         inputs: width of the particles' features.
         channels: of the field; the width of the feature.
         levels: of the U-Net; each halves the grid.
     """
 
-    def __init__(self, cells: GridShape, inputs: int, channels: int = 24, levels: int = 3) -> None:
+    def __init__(
+        self, grid_shape: GridShape, inputs: int, channels: int = 24, levels: int = 3
+    ) -> None:
         super().__init__()
-        self.cells, self.width = cells, channels
-        self.encode = PreciseLinear(inputs, channels)
+        self.grid_shape, self.width = grid_shape, channels
+        self.encode = Float32Linear(inputs, channels)
         # One channel more than the mean features: how many particles a cell has.
         self.enter = nn.Conv3d(channels + 1, channels, 3, padding=1)
         self.down = nn.ModuleList(
@@ -45,24 +47,26 @@ class VoxelField(Context):
         )
 
     def forward(self, particles: Particles, features: Tensor) -> Tensor:
-        occupied = occupied_cells(particles, self.cells)
+        occupied = occupied_voxels(particles, self.grid_shape)
         encoded = torch.tanh(self.encode(features))
         crowd = encoded.new_ones(len(encoded), 1)
         means = scatter(encoded, occupied.index, dim=0, dim_size=len(occupied.cell), reduce="mean")
         counts = scatter(crowd, occupied.index, dim=0, dim_size=len(occupied.cell), reduce="sum")
         expected = self._particles_per_full_cell(particles)
         rows = torch.cat([means, counts / expected], dim=1)
-        x, y, z = self.cells
+        x, y, z = self.grid_shape
         grid = rows.new_zeros(particles.frames * x * y * z, rows.shape[1])
         grid = grid.index_copy(0, occupied.cell, rows)
         volume = grid.view(particles.frames, x, y, z, -1).permute(0, 4, 1, 2, 3)
-        with precise_on_cpu(volume):
+        with float32_on_cpu(volume):
             field = self._convolve(volume)
         return self._sample(field, particles)
 
     def _particles_per_full_cell(self, particles: Particles) -> Tensor:
         scene = particles.scene
-        volume = scene.extent.prod() / (self.cells[0] * self.cells[1] * self.cells[2])
+        volume = scene.extent.prod() / (
+            self.grid_shape[0] * self.grid_shape[1] * self.grid_shape[2]
+        )
         return volume / (2 * scene.particle_radius) ** 3
 
     def _convolve(self, volume: Tensor) -> Tensor:
@@ -84,10 +88,10 @@ class VoxelField(Context):
         scene = particles.scene
         # Mixed precision ends here: the gradient adds up a cell's particles.
         rows = field.permute(0, 2, 3, 4, 1).flatten(0, 3).to(particles.position.dtype)
-        base = particles.frame * (self.cells[0] * self.cells[1] * self.cells[2])
+        base = particles.frame * (self.grid_shape[0] * self.grid_shape[1] * self.grid_shape[2])
         place = torch.nan_to_num((particles.position - scene.domain_lower) / scene.extent)
         lower, upper, share = [], [], []
-        for axis, count in enumerate(self.cells):
+        for axis, count in enumerate(self.grid_shape):
             between = (place[:, axis] * count - 0.5).clamp(0, count - 1)
             first = between.floor()
             share.append(between - first)
@@ -96,7 +100,7 @@ class VoxelField(Context):
         result = torch.zeros_like(rows[base])
         for corner in range(8):
             weight, row = torch.ones_like(share[0]), torch.zeros_like(base)
-            for axis, count in enumerate(self.cells):
+            for axis, count in enumerate(self.grid_shape):
                 far = bool(corner >> axis & 1)
                 row = row * count + (upper if far else lower)[axis]
                 weight = weight * (share[axis] if far else 1 - share[axis])

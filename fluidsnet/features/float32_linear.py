@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 
 @final
-class PreciseLinear(nn.Linear):
+class Float32Linear(nn.Linear):
     """A linear layer for places and offsets, or for the motion: never in bfloat16 or half.
 
     bfloat16 has 8 bits: at the far end of a domain of 6 m its steps are 12 mm, and that of a
@@ -22,7 +22,7 @@ class PreciseLinear(nn.Linear):
             return super().forward(rows.to(self.weight.dtype))
 
 
-def precise_on_cpu(values: Tensor) -> torch.autocast:
+def float32_on_cpu(values: Tensor) -> torch.autocast:
     """A context without mixed precision on the CPU, for 3-D convolutions of these values.
 
     There, with torch 2.13, those in bfloat16 gave their weights a gradient that is no number.

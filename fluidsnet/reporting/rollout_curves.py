@@ -52,7 +52,7 @@ _PANELS: tuple[_Panel, ...] = (
 def draw_curves(
     path: Path, figures: Figures, time_step: float, loggers: Sequence[Any], group: str
 ) -> None:
-    """Draws error, energy and center of mass against time to a PNG file and to TensorBoard.
+    """Draw error, energy and center of mass against time to a PNG file and to TensorBoard.
 
     What is not finite has no line; the title of its panel says from when on.
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from callbacks.table import Cell, write_table
 from fluidsnet.metrics.rollout_suite import BESIDE, Figures
 from fluidsnet.particles import RolloutStarts
+from fluidsnet.reporting.table import Cell, write_table
 
 # A metric's name, its column, and what its number is multiplied by.
 _COLUMNS = (

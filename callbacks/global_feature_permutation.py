@@ -10,23 +10,23 @@ from lightning.pytorch.utilities import rank_zero_info
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-from callbacks.folder import run_folder
-from callbacks.table import Cell, write_table
 from fluidsnet.errors import UserError
 from fluidsnet.module import FluidsNet
 from fluidsnet.one_step import OneStepErrors
 from fluidsnet.particles import Particles, Transitions
+from fluidsnet.reporting.run_folder import run_folder
+from fluidsnet.reporting.table import Cell, write_table
 
 
-class ForeignContext(Callback):
+class GlobalFeaturePermutation(Callback):
     """In ``test``, also predicts each frame with the global feature of another one.
 
     Which one is drawn at random with a fixed seed, so that each test takes the same ones: each
     frame's feature is given to one other, of any simulation and time. It logs
-    ``foreign_context/<figure>/own`` and ``/foreign`` for `velocity_mse` and `skill`, and
-    ``foreign_context/ratio``, the foreign `velocity_mse` over its own: 1 where the network does not
-    use the feature, and greater the more it relies on it. The same goes to ``foreign_context.md``
-    and ``foreign_context.csv`` in the run's folder.
+    ``global_feature_permutation/<figure>/own`` and ``/foreign`` for `velocity_mse` and `skill`, and
+    ``global_feature_permutation/ratio``, the foreign `velocity_mse` over its own: 1 where the
+    network does not use the feature, and greater the more it relies on it. The same goes to
+    ``global_feature_permutation.md`` and ``.csv`` in the run's folder.
 
     Only a context that is one vector a frame (`GlobalVector`) can be taken from another frame,
     whose particles are others and of another number.
@@ -42,13 +42,15 @@ class ForeignContext(Callback):
             UserError: the module is not a FluidsNet.
         """
         if not isinstance(pl_module, FluidsNet):
-            raise UserError("ForeignContext looks at the global feature of FluidsNet alone.")
+            raise UserError(
+                "GlobalFeaturePermutation looks at the global feature of FluidsNet alone."
+            )
         self._folder = run_folder(trainer)
 
     def on_test_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Forgets an earlier test, and says so where there is nothing to compare."""
         assert isinstance(pl_module, FluidsNet)
-        context = pl_module.network.context
+        context = pl_module.network.global_feature
         loader: Any = trainer.test_dataloaders
         reason = None
         if not context.one_a_frame:
@@ -59,7 +61,7 @@ class ForeignContext(Callback):
             reason = "the test split has one frame only"
         self._errors = None
         if reason is not None:
-            rank_zero_info(f"ForeignContext compares nothing: {reason}.")
+            rank_zero_info(f"GlobalFeaturePermutation compares nothing: {reason}.")
             return
         self._loader: DataLoader[Any] = loader
         self._rows: list[list[int]] = list(loader.batch_sampler)
@@ -97,18 +99,18 @@ class ForeignContext(Callback):
         }
         ratio = found["foreign"][0] / found["own"][0] if found["own"][0] else float("nan")
         figures = {
-            f"foreign_context/{figure}/{name}": value
+            f"global_feature_permutation/{figure}/{name}": value
             for name, values in found.items()
             for figure, value in zip(self._figures, values, strict=True)
         }
-        for tag, value in {**figures, "foreign_context/ratio": ratio}.items():
+        for tag, value in {**figures, "global_feature_permutation/ratio": ratio}.items():
             pl_module.log(tag, value, rank_zero_only=True, batch_size=1)
         if trainer.is_global_zero:
             rows: list[list[Cell]] = [
                 ["the frame itself", *found["own"], 1.0],
                 ["another frame", *found["foreign"], ratio],
             ]
-            path = self._folder / "foreign_context"
+            path = self._folder / "global_feature_permutation"
             print(f"\n{write_table(path, self._header, rows)}\n{path}.md")
 
 
@@ -122,7 +124,7 @@ def _others(frames: int) -> list[int]:
 
 def _vectors(model: FluidsNet, state: Particles) -> Tensor:
     """The context of each frame, (F, width), which is that of any of its particles."""
-    of_particles = model.network.context(state, model.network.features(state))
+    of_particles = model.network.global_feature(state, model.network.features(state))
     counts = torch.bincount(state.frame, minlength=state.frames)
     # A frame without particles gets a vector that nobody looks at.
     first = (counts.cumsum(0) - counts).clamp_max(len(state) - 1)

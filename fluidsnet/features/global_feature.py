@@ -10,12 +10,12 @@ import torch
 from torch import Tensor, nn
 from torch.profiler import record_function
 
-from fluidsnet.features.precise import precise_on_cpu
-from fluidsnet.features.voxel import Cells, GridShape, VoxelFeature, occupied_cells
+from fluidsnet.features.float32_linear import float32_on_cpu
+from fluidsnet.features.voxel import GridShape, OccupiedVoxels, VoxelFeature, occupied_voxels
 from fluidsnet.particles import Particles
 
 
-class Context(nn.Module, ABC):
+class GlobalFeature(nn.Module, ABC):
     """A feature of a particle's wider surroundings.
 
     Attributes:
@@ -39,7 +39,7 @@ class Context(nn.Module, ABC):
 
 
 @final
-class NoContext(Context):
+class NoGlobalFeature(GlobalFeature):
     """None at all: the ablation "without global feature" (section 5.6, figure 12).
 
     Neither the voxel feature nor the grid is made, since nothing would use them.
@@ -47,7 +47,7 @@ class NoContext(Context):
 
     width = 0
 
-    def __init__(self, cells: GridShape, inputs: int) -> None:
+    def __init__(self, grid_shape: GridShape, inputs: int) -> None:
         super().__init__()
 
     def forward(self, particles: Particles, features: Tensor) -> Tensor:
@@ -55,7 +55,7 @@ class NoContext(Context):
 
 
 @final
-class GlobalVector(Context):
+class GlobalVector(GlobalFeature):
     """The paper's: one vector for the whole scene, the same for each particle (section 4.5).
 
     Voxel features fill a dense grid, its empty cells get random numbers, and 3-D
@@ -65,7 +65,7 @@ class GlobalVector(Context):
     Two linear maps reduce the vector, without an activation ("strictly linear").
 
     Args:
-        cells: of the background grid.
+        grid_shape: cells of the background grid.
         inputs: width of the particles' features.
         voxel_widths: of the voxel feature's layers.
         reduced: widths of the two linear maps.
@@ -80,7 +80,7 @@ class GlobalVector(Context):
 
     def __init__(
         self,
-        cells: GridShape,
+        grid_shape: GridShape,
         inputs: int,
         voxel_widths: Sequence[int] = (32, 64, 128),
         reduced: Sequence[int] = (64, 32),
@@ -89,12 +89,12 @@ class GlobalVector(Context):
         seed: int = 0,
     ) -> None:
         super().__init__()
-        self.cells = cells
+        self.grid_shape = grid_shape
         self.voxel = VoxelFeature(inputs, voxel_widths)
         channels = self.voxel.width
         self.stack = nn.ModuleList(
             nn.Conv3d(channels, channels, kernel, kernel, groups=channels if separable else 1)
-            for kernel in kernels(cells)
+            for kernel in kernels(grid_shape)
         )
         self.reduce = nn.Sequential(
             *(
@@ -106,7 +106,7 @@ class GlobalVector(Context):
         self.empty_deviation = empty_variance**0.5
         self.seed = seed
         noise = torch.randn(
-            (cells[0] * cells[1] * cells[2], channels),
+            (grid_shape[0] * grid_shape[1] * grid_shape[2], channels),
             generator=torch.Generator("cpu").manual_seed(seed),
             device="cpu",
         )
@@ -114,7 +114,7 @@ class GlobalVector(Context):
 
     def forward(self, particles: Particles, features: Tensor) -> Tensor:
         with record_function("voxel"):
-            occupied = occupied_cells(particles, self.cells)
+            occupied = occupied_voxels(particles, self.grid_shape)
             voxels = self.voxel(features, occupied)
         with record_function("global"):
             # Mixed precision ends here: the gradient adds up a frame's particles.
@@ -124,14 +124,14 @@ class GlobalVector(Context):
             return vectors.expand(len(particles), -1)
         return vectors[particles.frame]
 
-    def _reduced(self, frames: int, occupied: Cells, voxels: Tensor) -> Tensor:
+    def _reduced(self, frames: int, occupied: OccupiedVoxels, voxels: Tensor) -> Tensor:
         """One vector a frame, (F, width), from the features of the occupied cells."""
         grid = self._empty_grid(frames)
         # Cells first, channels last: one row a cell to write to.
         grid = grid.index_copy(0, occupied.cell, voxels.to(grid.dtype))
-        volume = grid.view(frames, *self.cells, -1).permute(0, 4, 1, 2, 3)
-        with precise_on_cpu(volume):
-            for convolution, kernel in zip(self.stack, kernels(self.cells), strict=True):
+        volume = grid.view(frames, *self.grid_shape, -1).permute(0, 4, 1, 2, 3)
+        with float32_on_cpu(volume):
+            for convolution, kernel in zip(self.stack, kernels(self.grid_shape), strict=True):
                 volume = torch.tanh(convolution(_padded(volume, kernel)))
         vectors: Tensor = self.reduce(volume.flatten(1))
         return vectors
@@ -144,7 +144,7 @@ class GlobalVector(Context):
         return self.empty.repeat(frames, 1)
 
 
-def kernels(cells: GridShape) -> list[GridShape]:
+def kernels(grid_shape: GridShape) -> list[GridShape]:
     """The kernels, equal to the strides, that shrink a grid to one cell.
 
     Along each axis they are the smallest product of twos and threes that covers it with
@@ -152,9 +152,9 @@ def kernels(cells: GridShape) -> list[GridShape]:
     2·2·3, which are both columns of Table 1. A shorter axis ends with ones.
 
     Args:
-        cells: of the grid.
+        grid_shape: cells of the grid.
     """
-    axes = [_factors(count) for count in cells]
+    axes = [_factors(count) for count in grid_shape]
     depth = max(len(factors) for factors in axes)
     x, y, z = (factors + [1] * (depth - len(factors)) for factors in axes)
     return list(zip(x, y, z, strict=True))

@@ -7,7 +7,7 @@ from typing import Any
 from torch import nn
 
 
-def same_block(block: Any, other: Any) -> bool:
+def same_settings(block: Any, other: Any) -> bool:
     """Whether two blocks are of one class, with equal settings and weights of equal shapes."""
     return bool(_settings(block) == _settings(other))
 

@@ -12,9 +12,9 @@ from lightning.pytorch.cli import OptimizerCallable
 from lightning.pytorch.plugins.precision import Precision
 from torch import Tensor
 
-from fluidsnet.draws import Draws
 from fluidsnet.model import Model
 from fluidsnet.particles import Transitions
+from fluidsnet.rng import preserve_rng_state
 
 #: Steps of each model that are timed, after one that is not.
 ROUNDS = 3
@@ -44,7 +44,7 @@ def training_costs(
     """
     device = batch.state.position.device
     costs = {}
-    with Draws(device):
+    with preserve_rng_state(device):
         copies = {
             name: precision.convert_module(model.twin().to(device).train())
             for name, model in models.items()

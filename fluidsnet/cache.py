@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 @final
-class Kept(Generic[T]):
+class TensorCache(Generic[T]):
     """Remembers one result, and the tensors it was made of.
 
     Numbers are compared, not tensors: a version counter misses a change through NumPy, does

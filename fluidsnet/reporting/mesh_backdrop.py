@@ -18,7 +18,7 @@ Floats = NDArray[np.float32]
 
 
 @final
-class Stage:
+class MeshBackdrop:
     """The domain twice, side by side around the origin: floor, back wall and edges, of points.
 
     Attributes:

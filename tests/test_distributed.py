@@ -74,7 +74,9 @@ def test_fewer_samples_than_processes_are_refused(folders: tuple[Path, Path]) ->
     assert said.startswith("There are 2 processes for 1 samples or simulations")
 
 
-@pytest.mark.parametrize("table", ["one_step", "rollout", "rollout_metrics", "foreign_context"])
+@pytest.mark.parametrize(
+    "table", ["one_step", "rollout", "rollout_metrics", "global_feature_permutation"]
+)
 def test_two_processes_write_the_same_tables(folders: tuple[Path, Path], table: str) -> None:
     one, two = (
         list(csv.reader((folder / "run" / f"{table}.csv").read_text().splitlines()))

@@ -6,9 +6,9 @@ import pytest
 import torch
 from torch import nn
 
-from fluidsnet.features import GlobalVector, NoContext, VoxelFeature, VoxelField
-from fluidsnet.features.context import kernels
-from fluidsnet.features.voxel import occupied_cells
+from fluidsnet.features import GlobalVector, NoGlobalFeature, VoxelFeature, VoxelField
+from fluidsnet.features.global_feature import kernels
+from fluidsnet.features.voxel import occupied_voxels
 from fluidsnet.particles import Particles
 
 Make = Callable[..., Particles]
@@ -52,7 +52,7 @@ def test_cells_of_particles_against_a_loop(make_particles: Make) -> None:
     particles = make_particles((60, 0), (40, 0))
     particles.position[0] = torch.tensor([-5.0, 0.5, 99.0])
     shape = (6, 4, 5)
-    found = occupied_cells(particles, shape)
+    found = occupied_voxels(particles, shape)
     lower, extent = particles.scene.domain_lower, particles.scene.extent
     for row, (position, frame) in enumerate(zip(particles.position, particles.frame, strict=True)):
         number = int(frame)
@@ -68,7 +68,7 @@ def test_voxel_feature_against_a_loop(make_particles: Make) -> None:
     particles = make_particles((80, 0), (50, 0))
     features = torch.randn(130, 16, device=particles.position.device)
     voxel = VoxelFeature(16).to(features.device).eval()
-    cells = occupied_cells(particles, (3, 2, 3))
+    cells = occupied_voxels(particles, (3, 2, 3))
     expected = []
     for cell in range(len(cells.cell)):
         inside = features[cells.index == cell]
@@ -85,7 +85,7 @@ def test_global_vector_against_a_plain_network(make_particles: Make) -> None:
     features = torch.randn(130, 16, device=particles.position.device)
     cells = (5, 4, 7)
     context = GlobalVector(cells, 16).to(features.device).eval()
-    occupied = occupied_cells(particles, cells)
+    occupied = occupied_voxels(particles, cells)
     voxels = context.voxel(features, occupied)
     grid = torch.stack([context.empty, context.empty]).flatten(0, 1).clone()
     for row, cell in enumerate(occupied.cell):
@@ -125,7 +125,7 @@ def test_empty_cells_are_not_in_the_checkpoint() -> None:
 
 
 def test_no_context_has_no_weights_and_no_width(make_particles: Make) -> None:
-    context = NoContext((6, 4, 6), 16)
+    context = NoGlobalFeature((6, 4, 6), 16)
     particles = make_particles((30, 0))
     assert context(particles, torch.randn(30, 16)).shape == (30, 0)
     assert not list(context.parameters())

@@ -8,21 +8,21 @@ import pytest
 import torch
 from lightning import Trainer
 
-from callbacks import ForeignContext
-from callbacks.foreign_context import _others
+from callbacks import GlobalFeaturePermutation
+from callbacks.global_feature_permutation import _others
 from datamodules import SPHDataModule
 from fluidsnet import FluidsNet
-from fluidsnet.features import NoContext
+from fluidsnet.features import NoGlobalFeature
 
 
 def measure(model: FluidsNet, source: SPHDataModule, folder: Path) -> dict[str, float]:
-    model.learn_scale(source.statistics, source.time_step)
+    model.set_statistics(source.statistics, source.time_step)
     trainer = Trainer(
         default_root_dir=folder,
         devices=1,
         logger=False,
         enable_progress_bar=False,
-        callbacks=[ForeignContext()],
+        callbacks=[GlobalFeaturePermutation()],
     )
     found: dict[str, float] = trainer.test(model, source, verbose=False)[0]  # type: ignore[assignment]
     return found
@@ -41,16 +41,21 @@ def test_the_ratio_says_whether_the_vector_is_used(
     source: SPHDataModule, tmp_path: Path, used: bool
 ) -> None:
     torch.manual_seed(0)
-    model = FluidsNet(source.cells)
+    model = FluidsNet(source.grid_shape)
     if not used:
         with torch.no_grad():
-            model.network.head[0].weight[:, -model.network.context.width :] = 0
+            model.network.head[0].weight[:, -model.network.global_feature.width :] = 0
     found = measure(model, source, tmp_path)
-    own, ratio = found["foreign_context/velocity_mse/own"], found["foreign_context/ratio"]
+    own, ratio = (
+        found["global_feature_permutation/velocity_mse/own"],
+        found["global_feature_permutation/ratio"],
+    )
     assert own == pytest.approx(found["test/model/velocity_mse"], rel=1e-5)
-    assert found["foreign_context/skill/own"] == pytest.approx(found["test/model/skill"], rel=1e-4)
+    assert found["global_feature_permutation/skill/own"] == pytest.approx(
+        found["test/model/skill"], rel=1e-4
+    )
     assert (ratio == pytest.approx(1.0, abs=1e-6)) == (not used)
-    with (tmp_path / "foreign_context.csv").open() as file:
+    with (tmp_path / "global_feature_permutation.csv").open() as file:
         rows = list(csv.reader(file))
     assert [row[0] for row in rows[1:]] == ["the frame itself", "another frame"]
     assert float(rows[2][3]) == pytest.approx(ratio)
@@ -68,7 +73,7 @@ def test_the_foreign_vector_is_that_of_the_other_frame(
     source: SPHDataModule, tmp_path: Path
 ) -> None:
     torch.manual_seed(0)
-    model = FluidsNet(source.cells)
+    model = FluidsNet(source.grid_shape)
     found = measure(model, source, tmp_path)
     dataset = source.test_dataloader().dataset
     model.eval()
@@ -77,18 +82,22 @@ def test_the_foreign_vector_is_that_of_the_other_frame(
         for row in range(4):
             own, other = dataset[row], dataset[_others(4)[row]]
             network = model.network
-            vector = network.context(other.state, network.features(other.state))[:1]
+            vector = network.global_feature(other.state, network.features(other.state))[:1]
             state = model(own.state, vector.expand(len(own.state), -1))
             errors.append((state.velocity - own.next_velocity[0]).double().square().mean())
     expected = float(torch.stack(errors).mean())
-    assert found["foreign_context/velocity_mse/foreign"] == pytest.approx(expected, rel=1e-4)
+    assert found["global_feature_permutation/velocity_mse/foreign"] == pytest.approx(
+        expected, rel=1e-4
+    )
 
 
 def test_where_there_is_no_vector_it_says_so(
     source: SPHDataModule, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     with caplog.at_level("INFO"):
-        found = measure(FluidsNet(source.cells, context=NoContext), source, tmp_path)
+        found = measure(
+            FluidsNet(source.grid_shape, global_feature=NoGlobalFeature), source, tmp_path
+        )
     assert not [name for name in found if name.startswith("foreign")]
-    assert "NoContext is not one vector a frame" in caplog.text
-    assert not (tmp_path / "foreign_context.csv").exists()
+    assert "NoGlobalFeature is not one vector a frame" in caplog.text
+    assert not (tmp_path / "global_feature_permutation.csv").exists()
