@@ -78,7 +78,7 @@ class Network(nn.Module):
         return output
 
     def features(self, particles: Particles) -> Tensor:
-        """Input and local features of the fluid particles, side by side: what the global feature sees."""
+        """Concatenated input and local features of the fluid particles, (N, A)."""
         local = self.local.without_edges(particles, self.neighbors, self.inputs)
         if local is None:
             with record_function("search"):

@@ -13,6 +13,7 @@ RANKS = {
     "fluidsnet.distributed": 0,
     "fluidsnet.errors": 0,
     "fluidsnet.memory": 0,
+    "fluidsnet.progress": 0,
     "fluidsnet.rng": 0,
     "fluidsnet.same_settings": 0,
     "fluidsnet.scene": 0,
@@ -56,6 +57,7 @@ RANKS = {
 KNOWN_TO_DATA = {
     "fluidsnet.errors",
     "fluidsnet.particles",
+    "fluidsnet.progress",
     "fluidsnet.scene",
     "fluidsnet.statistics",
 }
