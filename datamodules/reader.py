@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any, final
 
@@ -11,7 +13,7 @@ import h5py
 import torch
 from torch import Tensor
 
-from datamodules.schema import DAMAGE, Header, simulations, validate
+from datamodules.schema import DAMAGE, VECTORS, Header, simulations, validate
 from fluidsnet.errors import UserError
 from fluidsnet.particles import Particles
 from fluidsnet.scene import Scene
@@ -52,6 +54,12 @@ class FrameReader:
                 name: len(file[name]["position"]) for name in simulations(file)
             }
 
+    @cached_property
+    def sha256(self) -> str:
+        """SHA-256 hash of the file, in hexadecimal."""
+        with self.path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+
     def scene(self, stride: int) -> Scene:
         """Return the scene of the file for steps of this many frames, always the same object."""
         if stride not in self._scenes:
@@ -67,6 +75,20 @@ class FrameReader:
                     time_step=header.dt * stride,
                 )
         return self._scenes[stride]
+
+    def check_same_scene(self, other: FrameReader) -> None:
+        """Check that two files have the same scene and frame interval.
+
+        Raises:
+            UserError: they differ.
+        """
+        for name in (*VECTORS, "particle_radius", "support_radius", "dt"):
+            value, expected = getattr(self.header, name), getattr(other.header, name)
+            if value != expected:
+                raise UserError(
+                    f"{self.path}: {name} is {value}, and {expected} in {other.path.name}; "
+                    "the files of a data set must have one scene."
+                )
 
     def fluid(self, simulation: str, frame: int) -> tuple[Tensor, Tensor]:
         """Read position, m, and velocity, m/s, of the fluid particles, each (N, 3)."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import random
 from collections.abc import Sequence
@@ -17,8 +16,8 @@ from torch.utils.data import DataLoader
 from datamodules.augmentation import Augmentation
 from datamodules.reader import FrameReader
 from datamodules.rollout_starts import HDF5RolloutStarts
-from datamodules.schema import SPLITS, Header
-from datamodules.transitions import Sample, TransitionDataset, each_once, statistics
+from datamodules.schema import SPLITS
+from datamodules.transitions import Sample, TransitionDataset, each_once, samples_in, statistics
 from fluidsnet.errors import UserError
 from fluidsnet.particles import RolloutStart, Transitions
 from fluidsnet.scene import Scene
@@ -96,7 +95,6 @@ class SPHDataModule(LightningDataModule):
         self.workers, self.seed = workers, seed
         self._readers: dict[str, FrameReader] = {}
         self._samples: dict[str, list[Sample]] = {}
-        self._identities: dict[str, dict[str, Any]] = {}
 
     # Settings of the model, read from the attributes of the files before `setup`.
 
@@ -134,8 +132,7 @@ class SPHDataModule(LightningDataModule):
     def identity(self, split: str) -> dict[str, Any]:
         """Return plain JSON values that identify the data of a split.
 
-        Split by frame, the samples come from several files: `file` then lists all files of the
-        data set, `sha256` is the hash of their joined bytes, and the seed is added.
+        Where `split_by` is `frame`, `file` and `sha256` list all files of the data set.
 
         Args:
             split: `train`, `val` or `test`.
@@ -143,28 +140,23 @@ class SPHDataModule(LightningDataModule):
         Raises:
             UserError: the file is missing or unusable.
         """
-        if split not in self._identities:
-            names = [split]
-            if self.split_by == "frame":
-                names = [name for name in SPLITS if (self.root / f"{name}.h5").exists()] or names
-            readers = [self._reader(name) for name in names]
-            digest = hashlib.sha256()
-            for reader in readers:
-                with reader.path.open("rb") as file:
-                    hashlib.file_digest(file, lambda: digest)
-            self._identities[split] = {
-                "root": str(self.root),
-                "file": ", ".join(reader.path.name for reader in readers),
-                "sha256": digest.hexdigest(),
-                "stride": self.stride,
-                "time_step": readers[0].scene(self.stride).time_step,
-                "frame_range": list(self.frame_range),
-                "sample_every": self.sample_every,
-                "simulations": sum(len(reader.frames) for reader in readers),
-                "frames": sum(sum(reader.frames.values()) for reader in readers),
-                **({"split_by": "frame", "seed": self.seed} if self.split_by == "frame" else {}),
-            }
-        return dict(self._identities[split])
+        names, options = [split], {}
+        if self.split_by == "frame":
+            names = [name for name in SPLITS if (self.root / f"{name}.h5").exists()] or names
+            options = {"split_by": self.split_by, "seed": self.seed}
+        readers = [self._reader(name) for name in names]
+        return {
+            "root": str(self.root),
+            "file": ", ".join(reader.path.name for reader in readers),
+            "sha256": ", ".join(reader.sha256 for reader in readers),
+            "stride": self.stride,
+            "time_step": readers[0].scene(self.stride).time_step,
+            "frame_range": list(self.frame_range),
+            "sample_every": self.sample_every,
+            "simulations": sum(len(reader.frames) for reader in readers),
+            "frames": sum(sum(reader.frames.values()) for reader in readers),
+            **options,
+        }
 
     # Hooks of Lightning.
 
@@ -178,7 +170,7 @@ class SPHDataModule(LightningDataModule):
         # Split by frame, the samples of each split come from these two files.
         dealt = self.split_by == "frame" and stage != "predict"
         for split in ("train", "val") if dealt else needed:
-            self._check_scene(split)
+            self._reader(split).check_same_scene(next(iter(self._readers.values())))
         if stage != "predict":
             for split in needed:
                 self._samples_of(split)
@@ -260,20 +252,6 @@ class SPHDataModule(LightningDataModule):
             self._readers[split] = FrameReader(self.root / f"{split}.h5")
         return self._readers[split]
 
-    def _check_scene(self, split: str) -> None:
-        header, first = self._reader(split).header, self._first_header()
-        lengths = ("particle_radius", "support_radius")
-        for name in ("domain_lower", "domain_upper", "gravity", *lengths, "dt"):
-            if getattr(header, name) != getattr(first, name):
-                raise UserError(
-                    f"{self._reader(split).path}: {name} is {getattr(header, name)}, and "
-                    f"{getattr(first, name)} in the data set's other files; "
-                    "a data set has one scene."
-                )
-
-    def _first_header(self) -> Header:
-        return next(iter(self._readers.values())).header
-
     def _samples_of(self, split: str) -> list[Sample]:
         if not self._samples:
             self._samples = self._deal() if self.split_by == "frame" else {}
@@ -292,15 +270,8 @@ class SPHDataModule(LightningDataModule):
         return self.steps if split == "train" else 1
 
     def _in_file(self, split: str, steps: int) -> list[Sample]:
-        reader = self._reader(split)
-        first, end = self.frame_range
-        samples = []
-        for simulation, frames in reader.frames.items():
-            last = (frames if end is None else min(frames, end)) - steps * self.stride
-            samples += [
-                Sample(reader, simulation, frame) for frame in range(first, last, self.sample_every)
-            ]
-        return samples
+        span = steps * self.stride
+        return samples_in(self._reader(split), span, self.frame_range, self.sample_every)
 
     def _deal(self) -> dict[str, list[Sample]]:
         samples = self._in_file("train", self.steps) + self._in_file("val", self.steps)

@@ -30,6 +30,26 @@ class Sample:
     frame: int
 
 
+def samples_in(
+    reader: FrameReader, span: int, frame_range: tuple[int, int | None], every: int
+) -> list[Sample]:
+    """Return the samples of a file, simulation after simulation.
+
+    Args:
+        reader: Reader of the file.
+        span: Frames from a state to the last of its next states.
+        frame_range: First frame that a sample may start at, and the frame it must end before;
+            None for the end of the simulation.
+        every: Frames between the starts of two samples.
+    """
+    first, end = frame_range
+    return [
+        Sample(reader, simulation, frame)
+        for simulation, frames in reader.frames.items()
+        for frame in range(first, (frames if end is None else min(frames, end)) - span, every)
+    ]
+
+
 @final
 class TransitionDataset(Dataset[Transitions]):
     """Transitions read from files; each frame of a sample is read once.
