@@ -47,14 +47,19 @@ class Results:
 
     @property
     def key(self) -> str:
-        """Identity of the frames; results of the same frames can be compared."""
-        names = ("sha256", "stride", "frame_range", "sample_every")
-        return str([self.data.get(name) for name in names])
+        """Identity of the frames, wherever the data lie; equal ones can be compared."""
+        return str(sorted((k, v) for k, v in self.data.items() if k not in ("root", "file")))
 
     @property
-    def path(self) -> Path | None:
-        """Data file; None where the data are not noted."""
-        return Path(str(self.data["root"]), str(self.data.get("file"))) if self.data else None
+    def path(self) -> str:
+        """Data file or files for a reader."""
+        return str(Path(self.data["root"], str(self.data.get("file")))) if self.data else "unknown"
+
+    @property
+    def files(self) -> list[Path]:
+        """Data files; several where the data are split by frame."""
+        names = str(self.data.get("file")).split(", ")
+        return [Path(self.data["root"], name) for name in names] if self.data else []
 
 
 @dataclass
@@ -195,7 +200,9 @@ def _read(folder: Path, name: str) -> Run:
             if "root" in data:
                 results.data = data
             else:
-                run.unread.append(f"{place.name}/{DATA_FILE} cannot be read: it notes no data.")
+                run.unread.append(
+                    f"{place.relative_to(folder) / DATA_FILE} cannot be read: it notes no data."
+                )
         if results.tables or results.pictures:
             run.results.append(results)
     run.results.sort(key=lambda results: not run.trained_on(results))
