@@ -122,12 +122,14 @@ def identity(root: Path) -> dict[str, Any]:
     digest = hashlib.sha256((root / "test.h5").read_bytes()).hexdigest()
     return {
         "root": str(root), "file": "test.h5", "sha256": digest, "stride": 1, "time_step": 0.02,
-        "frame_range": [0, None], "sample_every": 1, "simulations": 1, "frames": 40,
+        "frame_range": [0, None], "sample_every": 1, "simulations": 1, "frames": 41,
     }  # fmt: skip
 
 
 def into_results_folder(run: Path) -> None:
     """Moves tables and pictures from a run's own folder to where they belong."""
+    if (run / RESULTS).exists():
+        return
     folder = run / RESULTS / SAMPLE.name
     folder.mkdir(parents=True)
     (folder / DATA_FILE).write_text(json.dumps(identity(SAMPLE)))
@@ -289,12 +291,11 @@ def test_values_are_those_that_tensorboard_reads(runs: Path) -> None:
     for path in runs.glob("*/events*"):
         events = EventAccumulator(str(path), size_guidance={"scalars": 0})
         events.Reload()
-        file = read_event_file(path)
-        assert file.flaw == ""
-        assert list(file.scalars) == events.Tags()["scalars"]
-        for tag, scalars in file.scalars.items():
-            expected = [(event.step, event.value, event.wall_time) for event in events.Scalars(tag)]
-            assert scalars == expected
+        scalars, flaw = read_event_file(path)
+        assert flaw == ""
+        assert list(scalars) == events.Tags()["scalars"]
+        for tag, values in scalars.items():
+            assert values == events.Scalars(tag)
 
 
 def test_a_byte_that_is_not_as_written_is_found_wherever_it_is(one: Path) -> None:
@@ -326,10 +327,8 @@ def test_a_byte_that_is_not_as_written_is_found_wherever_it_is(one: Path) -> Non
 def test_a_file_that_ends_within_a_record_is_told_from_a_damaged_one(left: int, one: Path) -> None:
     path = min(one.glob("events*"))
     path.write_bytes(path.read_bytes()[:left])
-    assert read_event_file(path).flaw == (
-        f"{path.name} ends within a record, as after its process was killed: no value precedes "
-        "that."
-    )
+    flaw = "ends within a record, as after its process was killed: no value precedes that."
+    assert read_event_file(path) == ({}, f"{path.name} {flaw}")
 
 
 def test_settings_are_compared_with_what_is_shipped() -> None:
@@ -617,7 +616,7 @@ def test_results_on_each_data_set_stand_apart(runs: Path, one: Path, tmp_path: P
         assert [it for it in page.words if it.startswith(f"{section}: ")] == 2 * titles
     for root, digest in zip((SAMPLE, wave), digests, strict=True):
         measured = f"Measured on {root / 'test.h5'} (sha256 {digest}): "
-        settings = "stride 1, simulations 1, frames 40, time step 20 ms."
+        settings = "stride 1, simulations 1, frames 41, time step 20 ms."
         assert measured + settings in page.words
         assert measured + settings in (tmp_path / "single" / "report.md").read_text()
     assert f"one was trained on other data: {SAMPLE}." in page.words
@@ -662,7 +661,7 @@ def test_results_of_an_old_run_are_shown(runs: Path, one: Path, tmp_path: Path) 
     for name in ("one_step", "rollout", "rollout_metrics"):
         assert len(rows(tmp_path / "single" / f"{name}.csv")) == len(rows(one / f"{name}.csv"))
     assert rows(tmp_path / "single" / "global_feature_permutation_one.csv")[2][1] == "0.25"
-    assert len(page.all("img")) == 2
+    assert len(page.all("img")) == len([*one.glob("*.png")]) >= 2
     note = "The data that one was measured on are not noted"
     assert note in page.text
     # Its results are not set beside those on data that are noted.

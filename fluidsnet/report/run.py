@@ -12,7 +12,7 @@ import yaml
 
 from fluidsnet.errors import UserError
 from fluidsnet.report.events import PATTERN, History, read_history
-from fluidsnet.report.tables import read_table
+from fluidsnet.report.tables import read_table, unique
 from fluidsnet.reporting.results import DATA_FILE, RESULTS, results_folders
 
 CONFIG = "config.yaml"
@@ -165,13 +165,9 @@ def group_results(runs: Sequence[Run]) -> list[Group]:
     if len(members) == 1:
         return [Group("", members[0])]
     groups: list[Group] = []
-    for results_by_run in members:
-        label = plain = next(iter(results_by_run.values())).label
-        number = 1
-        while label in (group.label for group in groups):
-            number += 1
-            label = f"{plain}_{number}"
-        groups.append(Group(label, results_by_run))
+    for it in members:
+        label = unique(next(iter(it.values())).label, [group.label for group in groups])
+        groups.append(Group(label, it))
     return groups
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from itertools import chain, count
 from pathlib import Path
 from typing import TypeVar
 
@@ -17,7 +18,7 @@ Key = TypeVar("Key", bound=Cell)
 NONE = "–"
 
 
-def frame(header: Sequence[str], rows: Iterable[Sequence[Cell]]) -> pd.DataFrame:
+def frame(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> pd.DataFrame:
     """Return a table whose cells keep their type; the first column names the rows."""
     return pd.DataFrame([*rows], columns=[*header], dtype=object)
 
@@ -95,6 +96,12 @@ def union(lists: Iterable[Iterable[Key]]) -> list[Key]:
                 found.insert(place, item)
                 place += 1
     return found
+
+
+def unique(name: str, taken: Collection[str]) -> str:
+    """Return a name that is not taken, with a number behind it where needed."""
+    numbered = (f"{name}_{number}" for number in count(2))
+    return next(found for found in chain([name], numbered) if found not in taken)
 
 
 def near(first: Cell, second: Cell) -> bool:
