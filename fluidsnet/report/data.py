@@ -60,10 +60,8 @@ def measured_notes(runs: Sequence[Run], group: Group) -> list[Note]:
             if "root" in run.data and not run.trained_on(results):
                 notes.append(f"{run.name} was trained on other data: {run.data['root']}.")
         elif results.tables or results.pictures:
-            notes.append(
-                f"The data that {run.name} was measured on are not noted: the results are of an "
-                "old version, which kept them in the folder of the run."
-            )
+            text = f"The data that {run.name} was measured on are not noted"
+            notes.append(f"{text}, as in runs of older versions.")
     return [Note(text) for text in dict.fromkeys(notes)]
 
 

@@ -7,9 +7,7 @@ from base64 import b64encode
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import groupby
-from operator import attrgetter
 from pathlib import Path
-from typing import ClassVar
 
 import pandas as pd
 from jinja2 import Environment, StrictUndefined
@@ -24,7 +22,6 @@ _HERE = Path(__file__).parent
 class Note:
     """A sentence; a `missing` one says what is absent and which command makes it."""
 
-    kind: ClassVar[str] = "note"
     text: str
     missing: bool = False
 
@@ -33,7 +30,6 @@ class Note:
 class Table:
     """A table with the name of its CSV file; a `folded` one opens at a click."""
 
-    kind: ClassVar[str] = "table"
     name: str
     caption: str
     frame: pd.DataFrame
@@ -56,7 +52,6 @@ class Table:
 class Chart:
     """Curves as SVG, described in `words` for screen readers."""
 
-    kind: ClassVar[str] = "chart"
     caption: str
     words: str
     svg: str
@@ -66,7 +61,6 @@ class Chart:
 class Picture:
     """A PNG file with a caption."""
 
-    kind: ClassVar[str] = "picture"
     caption: str
     path: Path
 
@@ -80,7 +74,6 @@ class Picture:
 class Folded:
     """A long text that opens at a click."""
 
-    kind: ClassVar[str] = "folded"
     caption: str
     text: str
 
@@ -147,8 +140,8 @@ def _page(document: Document) -> str:
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    # Charts stand side by side: group consecutive parts of a kind.
-    by_kind = partial(groupby, key=attrgetter("kind"))
+    # Consecutive parts of a class are grouped, as charts stand side by side.
+    by_kind = partial(groupby, key=lambda part: type(part).__name__)
     environment.filters.update(shown=shown, by_kind=by_kind)
     template = environment.from_string((_HERE / "page.html").read_text(encoding="utf-8"))
     style = (_HERE / "page.css").read_text(encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -51,15 +52,15 @@ class Results:
         return str(sorted((k, v) for k, v in self.data.items() if k not in ("root", "file")))
 
     @property
-    def path(self) -> str:
-        """Data file or files for a reader."""
-        return str(Path(self.data["root"], str(self.data.get("file")))) if self.data else "unknown"
-
-    @property
     def files(self) -> list[Path]:
         """Data files; several where the data are split by frame."""
         names = str(self.data.get("file")).split(", ")
         return [Path(self.data["root"], name) for name in names] if self.data else []
+
+    @property
+    def path(self) -> str:
+        """Data files for a reader."""
+        return ", ".join(map(str, self.files)) or self.label
 
 
 @dataclass
@@ -152,12 +153,11 @@ def group_results(runs: Sequence[Run]) -> list[Group]:
     """Group the results of runs by their data; there is at least one group."""
     found: dict[tuple[str, int], dict[str, Results]] = {}
     for run in runs:
+        # A run may have results on several copies of a data file.
+        copies = Counter[str]()
         for results in run.results:
-            copy = 0
-            # A run may have results on two copies of a data file.
-            while run.name in found.get((results.key, copy), {}):
-                copy += 1
-            found.setdefault((results.key, copy), {})[run.name] = results
+            found.setdefault((results.key, copies[results.key]), {})[run.name] = results
+            copies[results.key] += 1
     members = [*found.values()] or [{}]
     for run in runs:
         if not run.results:
@@ -236,10 +236,8 @@ def _read_config(run: Run) -> None:
     except (OSError, UnicodeError, yaml.YAMLError):
         run.unread.append(f"{CONFIG} cannot be read: it is not plain YAML.")
         return
-    if isinstance(config, dict):
-        run.config = config
-    else:
-        run.unread.append(f"{CONFIG} holds no settings.")
+    run.config = config if isinstance(config, dict) else None
+    run.unread += [] if isinstance(config, dict) else [f"{CONFIG} holds no settings."]
 
 
 def _remarks(path: Path) -> list[str]:
