@@ -113,8 +113,8 @@ def near(first: Cell, second: Cell) -> bool:
 
 def same(first: Iterable[Cell], second: Iterable[Cell]) -> bool:
     """Return whether two lists of cells have the same length and agree up to rounding."""
-    one, other = list(first), list(second)
-    return len(one) == len(other) and all(map(near, one, other))
+    cells, others = [*first], [*second]
+    return len(cells) == len(others) and all(map(near, cells, others))
 
 
 def _cell(text: str) -> Cell:
