@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import pandas as pd
+
 from fluidsnet.report.events import RATE, TRAINED, Curve
 from fluidsnet.report.run import ROLLED, Run, read_runs
 from fluidsnet.reporting.table import Cell
@@ -91,7 +93,7 @@ class Numbers:
     def missing(self) -> list[str]:
         """Sentences, one for each file that is not there or cannot be read."""
         place = f"{self.trained.scene}, stride {self.trained.stride}, seed {self.trained.seed}"
-        absent = [f"there is no {name}.csv." for name in _READ if name not in self.run.tables]
+        absent = [f"there is no {name}.csv." for name in _READ if name not in self._tables]
         absent += [
             f"{start}.csv has rows without steps or time; they are left out."
             for start in STARTS
@@ -101,9 +103,14 @@ class Numbers:
             absent.append("no validation was logged.")
         return [f"{place}: {sentence}" for sentence in (*self.run.unread, *absent)]
 
+    @property
+    def _tables(self) -> dict[str, pd.DataFrame]:
+        """Tables of the first results."""
+        return self.run.results[0].tables if self.run.results else {}
+
     def _times(self, start: str) -> list[tuple[int, float] | None]:
         """Steps and time of each row; None for one that has no such numbers."""
-        grid = self.run.tables.get(start)
+        grid = self._tables.get(start)
         if grid is None:
             return []
         if not {"steps", "time s"} <= set(grid.columns):
@@ -116,7 +123,7 @@ class Numbers:
         ]
 
     def _find(self, table: str, row: dict[str, Cell], column: str) -> float | None:
-        grid = self.run.tables.get(table)
+        grid = self._tables.get(table)
         if grid is None or not {*row, column} <= set(grid.columns):
             return None
         found = (it[column] for it in grid.to_dict("records") if row.items() <= it.items())
