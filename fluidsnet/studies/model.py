@@ -1,4 +1,4 @@
-"""The network a study measures."""
+"""Load the network that a study measures."""
 
 from __future__ import annotations
 
@@ -15,23 +15,22 @@ from fluidsnet.module import FluidsNet
 from fluidsnet.neighbors import NeighborSearch
 from fluidsnet.studies.dam_break import CELLS
 
-# Of training; no study of speed needs them.
-_TRAINING = ("optimizer", "schedule", "noise", "grid_shape")
+# Arguments of training, and the grid, which a study sets.
+_IGNORED = ("optimizer", "schedule", "noise", "grid_shape")
 
 
 def load_model(model: str | None, run: str | None, neighbors: str, time_step: float) -> FluidsNet:
-    """A network in evaluation mode, with a search of the study's choice.
+    """Return a network in evaluation mode with the given neighbor search.
 
     Args:
-        model: a file with a `model:`, such as configs/model/field.yaml; its weights are random.
-            Without one it is the paper's network.
-        run: the folder of a training run; its network has the weights of its checkpoint.
-        neighbors: name of a class of `fluidsnet.neighbors`.
-        time_step: s that the network is to step.
+        model: Config file with the key `model`, such as configs/model/field.yaml, for a network
+            with random weights; by default the paper's network.
+        run: Folder of a training run, for the network and weights of its checkpoint.
+        neighbors: Name of a class of `fluidsnet.neighbors`.
+        time_step: Time step of the network, s.
 
     Raises:
-        UserError: a file is missing or holds no such thing, or the run was trained at another
-            time step.
+        UserError: A file is missing or not valid, or the run was trained at another time step.
     """
     torch.manual_seed(0)
     weights: dict[str, Any] = {}
@@ -86,7 +85,7 @@ def _configured(path: Path, grid_shape: tuple[int, ...]) -> FluidsNet:
             f"{path} holds no `model:`; name a file such as configs/model/paper.yaml."
         ) from error
     settings = dict(described.get("init_args") or {})
-    for name in _TRAINING:
+    for name in _IGNORED:
         settings.pop(name, None)
     parser = ArgumentParser(exit_on_error=False)
     parser.add_subclass_arguments(FluidsNet, "model")
