@@ -6,43 +6,42 @@ The frames of a rollout cannot be batched, since each needs the one before.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import final
 
 import torch
-from torch import Tensor
 
 from fluidsnet.memory import PeakMemory, free_bytes
-from fluidsnet.network import Network
+from fluidsnet.model import Model
 from fluidsnet.particles import Particles
-from fluidsnet.target import Motion
 
 
 @final
 class BatchedPrediction:
-    """Predict the motion of each frame, in batches of whole frames that fit into memory.
+    """Predict the state one step after each frame, in batches that fit into memory.
 
     The first frame is a batch alone. Its peak memory per particle, fluid and solid, limits the
     size of the next batches; a larger batch updates it. A frame is never split, so a frame that
     is too large alone runs out of memory.
 
     Args:
-        network: Network in evaluation mode.
-        device: Device of the network. Frames are copied to it, and motions back to the frame's.
+        model: Model in evaluation mode.
+        device: Device of the model. Frames are copied to it, and predictions back.
         memory: Memory for a batch, bytes; by default half of what is free when a call begins.
     """
 
     def __init__(
-        self, network: Network, device: torch.device | str = "cpu", memory: int | None = None
+        self, model: Model, device: torch.device | str = "cpu", memory: int | None = None
     ) -> None:
-        self.network, self.device, self.memory = network, torch.device(device), memory
+        self.model, self.device, self.memory = model, torch.device(device), memory
         #: Frames in each batch of the last call.
         self.batches: list[int] = []
         #: Peak memory per particle of the largest batch so far.
         self.bytes_per_particle = 0.0
         self._largest = 0
 
-    def __call__(self, states: Iterable[Particles]) -> Iterator[Motion]:
-        """Yield the motion of each state, in order.
+    def __call__(self, states: Iterable[Particles]) -> Iterator[Particles]:
+        """Yield the next state of each state, in order.
 
         Args:
             states: States of one or more frames each, read when they are needed. Only states
@@ -66,21 +65,20 @@ class BatchedPrediction:
 
     # Not around the generator, whose caller may need gradients between two states.
     @torch.no_grad()
-    def _predict(self, states: Sequence[Particles]) -> list[Motion]:
+    def _predict(self, states: Sequence[Particles]) -> list[Particles]:
         with PeakMemory(self.device) as peak:
-            batch = Particles.collate(states).to(self.device)
-            motion = self.network.motion(batch)
-            origin = states[0].position.device
-            sizes = [len(state) for state in states]
-            velocity = motion.velocity.to(origin).split(sizes)  # type: ignore[no-untyped-call]
-            displacement: Sequence[Tensor | None] = [None] * len(states)
-            if motion.displacement is not None:
-                displacement = motion.displacement.to(origin).split(sizes)  # type: ignore[no-untyped-call]
+            after = self.model.step(Particles.collate(states).to(self.device))
+            origin, sizes = states[0].position.device, [len(state) for state in states]
+            position = after.position.to(origin).split(sizes)  # type: ignore[no-untyped-call]
+            velocity = after.velocity.to(origin).split(sizes)  # type: ignore[no-untyped-call]
         self.batches.append(sum(state.frames for state in states))
         count = sum(map(_count, states))
         if count >= self._largest:
             self._largest, self.bytes_per_particle = count, peak.bytes / max(count, 1)
-        return [Motion(*pair) for pair in zip(velocity, displacement, strict=True)]
+        return [
+            replace(state, position=x, velocity=v)
+            for state, x, v in zip(states, position, velocity, strict=True)
+        ]
 
 
 def _count(state: Particles) -> int:

@@ -12,10 +12,9 @@ from datamodules.reader import FrameReader
 from fluidsnet.main import main
 from fluidsnet.network import Network
 from fluidsnet.studies.dam_break import Dam
-from fluidsnet.studies.model import load_model
 from fluidsnet.studies.speed import command
 from fluidsnet.studies.speed.floor import step_floor
-from fluidsnet.studies.speed.measure import measure
+from fluidsnet.studies.speed.measure import load_model, measure
 from fluidsnet.studies.speed.options import SpeedOptions
 from fluidsnet.studies.speed.report import Report
 from fluidsnet.studies.speed.table import Row, number
@@ -97,22 +96,23 @@ def test_the_start_without_a_solver(tmp_path: Path) -> None:
     assert sum(many.batches) == 2
 
 
-def test_any_model(tmp_path: Path) -> None:
+def _network(neighbors: str = "Auto", model: Path | None = None) -> Network:
+    loaded = load_model(SpeedOptions(model=None if model is None else str(model)), neighbors)
+    assert not loaded.training
+    return loaded.network
+
+
+def test_any_model() -> None:
     for path in sorted(MODELS.glob("*.yaml")):
-        module = load_model(str(path), None, "CellList", 0.02)
-        assert not module.training
-        assert type(module.network.neighbors).__name__ == "CellList"
-        assert isinstance(module.network, Network)
-    paper = load_model(None, None, "Auto", 0.02).network
-    known = {name: value.shape for name, value in paper.state_dict().items()}
-    written = load_model(str(MODELS / "paper.yaml"), None, "Auto", 0.02).network
+        assert type(_network("CellList", path).neighbors).__name__ == "CellList"
+    known = {name: value.shape for name, value in _network().state_dict().items()}
+    written = _network(model=MODELS / "paper.yaml")
     assert {name: value.shape for name, value in written.state_dict().items()} == known
-    field = load_model(str(MODELS / "field.yaml"), None, "Auto", 0.02).network
-    assert step_floor(field, 9, 9.0) is None
+    assert step_floor(_network(model=MODELS / "field.yaml"), 9, 9.0) is None
 
 
 def test_the_floor_counts_the_papers_layers() -> None:
-    found = step_floor(load_model(None, None, "Auto", 0.02).network, 1, 30.0)
+    found = step_floor(_network(), 1, 30.0)
     assert found is not None
     # By hand: Table 1's layers, 16 operations a tanh, the mean of nine numbers.
     edge = 7 + 16 * 7 + 2 * 7 * 9 + 16 * 9 + 9

@@ -16,9 +16,9 @@ from datamodules.generate.solver import load_solver
 from fluidsnet.progress import Progress
 from fluidsnet.studies.dam_break import Dam
 from fluidsnet.studies.machine import BUSY, OtherLoad, cpu_model, device_name, versions
-from fluidsnet.studies.model import load_model
 from fluidsnet.studies.parser import study_parser
 from fluidsnet.studies.speed.floor import Floor, step_floor
+from fluidsnet.studies.speed.measure import load_model
 from fluidsnet.studies.speed.options import Precision, SpeedOptions
 from fluidsnet.studies.speed.paper import TABLE_3_PARTICLES
 from fluidsnet.studies.speed.report import Report
@@ -73,7 +73,7 @@ class Study:
         self.options, self.folder = options, Path(options.output)
         self.work = self.folder / "work"
         # Loaded before the solver runs, so that a wrong path costs no time.
-        self.network = load_model(options.model, options.run, "Auto", options.time_step).network
+        self.network = load_model(options, "Auto").network
         self.report = Report()
         self._previous: dict[str, Row] = {}
 

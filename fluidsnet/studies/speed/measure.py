@@ -19,16 +19,51 @@ import torch
 from torch import Tensor
 from torch.profiler import ProfilerActivity, profile
 
+import fluidsnet.neighbors
 from datamodules.reader import FrameReader
 from fluidsnet.batched import BatchedPrediction
 from fluidsnet.compiled import compile_network
 from fluidsnet.errors import UserError
 from fluidsnet.features.dense import plain_torch
 from fluidsnet.memory import PeakMemory, free_bytes
+from fluidsnet.model import Model
+from fluidsnet.models import load
+from fluidsnet.models.loading import build
 from fluidsnet.particles import Particles
-from fluidsnet.studies.model import load_model
+from fluidsnet.studies.dam_break import CELLS
 from fluidsnet.studies.speed.floor import measure_cores
+from fluidsnet.studies.speed.options import SpeedOptions
 from fluidsnet.studies.speed.trial import STAGES, Result, Trial
+
+
+def load_model(options: SpeedOptions, neighbors: str) -> Model:
+    """Return the network of the options in evaluation mode, with the given neighbor search.
+
+    Without a run its weights are random, and without a config it is the paper's.
+
+    Args:
+        options: Names the network.
+        neighbors: Name of a class of `fluidsnet.neighbors`.
+
+    Raises:
+        UserError: A file is missing or not valid, or the run was trained at another time step.
+    """
+    torch.manual_seed(0)
+    if options.run is not None:
+        model = load(options.run)
+        trained = float(model.time_step)
+        if abs(trained - options.time_step) > 1e-6 * trained:
+            raise UserError(
+                f"{options.run} was trained at a time step of {trained:g} s, not "
+                f"{options.time_step:g} s; add --time_step {trained:g}."
+            )
+    elif options.model is not None:
+        model = build(Path(options.model), CELLS).model
+    else:
+        model = Model(CELLS)
+    network = model.network
+    network.neighbors = getattr(fluidsnet.neighbors, neighbors)(network.neighbors.k)
+    return model.eval()
 
 
 def measure(trial: Trial) -> Result:
@@ -60,10 +95,9 @@ class _Bench:
         name, frames = next(iter(reader.frames.items()))
         count = options.batch if trial.kind == "batch" else 1
         self.states = [reader.state(name, frame, scene) for frame in range(frames - count, frames)]
-        self.module = load_model(options.model, options.run, trial.neighbors, scene.time_step)
-        self.module.to(self.device)
+        self.model = load_model(options, trial.neighbors).to(self.device)
         if trial.compile:
-            compile_network(self.module.network)
+            compile_network(self.model.network)
 
     def warm_up(self) -> None:
         """Step a part of the state, so that all kernels are compiled and libraries loaded."""
@@ -80,7 +114,7 @@ class _Bench:
     def step(self, state: Particles | None = None) -> Tensor:
         """Return the next velocities (N, 3), m/s, on the CPU, with all copies included."""
         with torch.no_grad(), self.autocast():
-            after = self.module((self.states[-1] if state is None else state).to(self.device))
+            after = self.model.step((self.states[-1] if state is None else state).to(self.device))
             after.position.cpu()
             velocity: Tensor = after.velocity.cpu()
             return velocity
@@ -88,7 +122,7 @@ class _Bench:
     def search(self) -> Any:
         """Return the edges of the state."""
         with torch.no_grad():
-            neighbors = self.module.network.neighbors(self.states[-1].to(self.device))
+            neighbors = self.model.network.neighbors(self.states[-1].to(self.device))
             if self.device.type == "cuda":
                 torch.cuda.synchronize(self.device)
             return neighbors
@@ -122,12 +156,12 @@ class _Bench:
     def measure_batch(self) -> Result:
         """Measure time and memory of all states predicted at once."""
         options = self.trial.options
-        predict = BatchedPrediction(self.module.network, self.device)
+        predict = BatchedPrediction(self.model, self.device)
 
         def work() -> None:
             with self.autocast():
-                for motion in predict(self.states):
-                    motion.velocity.cpu()
+                for _ in predict(self.states):
+                    pass
 
         work()
         seconds = _repeat(work, options.repeats, options.seconds)
