@@ -1,8 +1,8 @@
 """Time a training step of the paper's network: forward, backward and Adam.
 
-`PYTHONPATH` chooses the code that is timed, so that two checkouts can be compared::
+To time another checkout, run its copy of this script with its code::
 
-    PYTHONPATH=<checkout> .venv/bin/python tools/training_step.py data/demo Auto
+    PYTHONPATH=<checkout> .venv/bin/python <checkout>/tools/training_step.py data/demo Auto
 """
 
 from __future__ import annotations
@@ -15,14 +15,13 @@ import time
 from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import torch
 
 import fluidsnet.neighbors
 from datamodules import SPHDataModule
-from fluidsnet import FluidsNet
 from fluidsnet.errors import UserError
+from fluidsnet.model import Model
 
 WARM_UP, STEPS = 4, 30
 
@@ -52,16 +51,14 @@ def measure(root: Path, search: str) -> None:
     torch.manual_seed(0)
     data = SPHDataModule(root, voxel_size=1.5 / 18, stride=4, batch_size=2)
     batches = list(islice(data.train_dataloader(), 8))
-    model: Any = FluidsNet(data.grid_shape, neighbors=getattr(fluidsnet.neighbors, search)())
+    model = Model(data.grid_shape, neighbors=getattr(fluidsnet.neighbors, search)())
     model.set_statistics(data.statistics, data.time_step)
-    # Logging needs a Trainer.
-    model.log = lambda *_, **__: None
     optimizer = torch.optim.Adam(model.parameters(), lr=0.003)
     seconds = []
     for index in range(WARM_UP + STEPS):
         started = time.perf_counter()
         optimizer.zero_grad()
-        model.training_step(batches[index % len(batches)], index).backward()
+        model.loss(batches[index % len(batches)]).backward()  # type: ignore[no-untyped-call]
         optimizer.step()
         seconds.append(1000 * (time.perf_counter() - started))
     seconds = seconds[WARM_UP:]
