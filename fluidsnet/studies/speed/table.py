@@ -26,7 +26,7 @@ class Row:
         time_step: Simulated time of a step, s.
         result: Outcome of the measurement.
         others: Cores that other processes kept busy meanwhile.
-        frames: Number of frames predicted at once.
+        frames: Number of frames predicted at once; 0 for a single step.
         solver: Time of a frame of the solver beside many frames at once, s.
     """
 
@@ -38,7 +38,7 @@ class Row:
     time_step: float = 0.02
     result: Result = field(default_factory=Result)
     others: float = 0.0
-    frames: int = 1
+    frames: int = 0
     solver: float | None = None
 
     @property
@@ -46,7 +46,7 @@ class Row:
         """Name of the method with its settings, the same at all sizes."""
         if self.method != "network":
             return self.method
-        if self.frames > 1:
+        if self.frames:
             return f"{self.frames} frames at once"
         compiled = ["torch.compile"] if self.compiled else []
         return ", ".join([self.neighbors, self.precision, *compiled])
