@@ -6,7 +6,6 @@ The frames of a rollout cannot be batched, since each needs the one before.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from typing import final
 
 import torch
@@ -75,10 +74,8 @@ class BatchedPrediction:
         count = sum(map(_count, states))
         if count >= self._largest:
             self._largest, self.bytes_per_particle = count, peak.bytes / max(count, 1)
-        return [
-            replace(state, position=x, velocity=v)
-            for state, x, v in zip(states, position, velocity, strict=True)
-        ]
+        moves = zip(states, position, velocity, strict=True)
+        return [state.moved(*move) for state, *move in moves]
 
 
 def _count(state: Particles) -> int:
