@@ -53,6 +53,11 @@ class Progress(tqdm):  # type: ignore[type-arg]
         else:
             print(s, file=file, end=end, flush=True)
 
+    def moveto(self, n: int) -> None:
+        """Move the cursor to the line of a nested bar, in a terminal only."""
+        if self._interactive:
+            super().moveto(n)
+
     def close(self) -> None:
         """Show the last state and end the bar."""
         if self._interactive or self.disable:
