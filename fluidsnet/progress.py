@@ -44,20 +44,6 @@ class Progress(tqdm):  # type: ignore[type-arg]
 
         return write
 
-    @classmethod
-    def write(cls, s: str, file: Any = None, end: str = "\n", nolock: bool = False) -> None:
-        """Print a message, in a terminal above the bars."""
-        file = file or sys.stdout
-        if file.isatty():
-            super().write(s, file, end, nolock)
-        else:
-            print(s, file=file, end=end, flush=True)
-
-    def moveto(self, n: int) -> None:
-        """Move the cursor to the line of a nested bar, in a terminal only."""
-        if self._interactive:
-            super().moveto(n)
-
     def close(self) -> None:
         """Show the last state and end the bar."""
         if self._interactive or self.disable:

@@ -106,7 +106,7 @@ class Study:
         self, name: str, work: Callable[..., Result], *arguments: Any
     ) -> tuple[Result, float]:
         """Return a result and the cores that other processes kept busy meanwhile."""
-        self._progress.set_description_str(name)
+        self._progress.set_description(name)
         with OtherLoad() as load:
             result = work(*arguments)
         if load.cores > BUSY:
@@ -136,7 +136,7 @@ class Study:
         states = self._solve(dam, self.options.frames, solvers, self.report.rows)
         reference = self.work / "reference.npy"
         base = Trial("reference", self.options, states, "CellListCPU", reference=reference)
-        self._progress.set_description_str(f"{dam.particles:,} particles, reference")
+        self._progress.set_description(f"{dam.particles:,} particles, reference")
         failure = run_trial(self.work, base).failure
         if failure:
             self._progress.write(
