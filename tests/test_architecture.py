@@ -10,6 +10,8 @@ ROOT = Path(__file__).parents[1]
 #: What may import what: a module may import those of a lower rank, and its own package.
 RANKS = {
     "fluidsnet.cache": 0,
+    "fluidsnet.console": 0,
+    "fluidsnet.deprecated": 0,
     "fluidsnet.distributed": 0,
     "fluidsnet.errors": 0,
     "fluidsnet.memory": 0,
@@ -18,7 +20,7 @@ RANKS = {
     "fluidsnet.same_settings": 0,
     "fluidsnet.scene": 0,
     "fluidsnet.statistics": 0,
-    "fluidsnet.config_base": 1,
+    "fluidsnet.arguments": 1,
     "fluidsnet.export": 1,
     "fluidsnet.loss": 1,
     "fluidsnet.particles": 1,

@@ -21,7 +21,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from tensorboard.plugins.custom_scalar.layout_pb2 import Layout
 
 from datamodules.generate.command import _parser as generate_parser
-from fluidsnet.config_base import with_base
+from fluidsnet.arguments import with_base
 from fluidsnet.errors import UserError
 from fluidsnet.export.vtkhdf import read_field_data, read_frame
 from fluidsnet.main import USAGE, main

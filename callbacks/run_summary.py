@@ -1,0 +1,85 @@
+"""Summary of a run, printed before its first batch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from lightning import Callback, LightningModule, Trainer
+from torch import nn
+
+from fluidsnet.reporting.run_folder import run_folder
+
+
+class RunSummary(Callback):
+    """Print device, data, model and the folder of the results, one line each.
+
+    .. code-block:: text
+
+        device   cpu, 2 threads
+        data     data/demo: 2,345 samples to train on, 300 to validate; time step 20 ms
+        model    FluidsNet: KernelMessages, VoxelField, DisplacementTarget; 232,110 weights
+        results  runs/demo
+    """
+
+    def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
+        """Look up the run's folder."""
+        self._folder = run_folder(trainer)
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        samples = {
+            "training sample": trainer.train_dataloader,
+            "validation sample": trainer.val_dataloaders,
+        }
+        self._print(trainer, pl_module, samples)
+
+    def on_validation_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        if trainer.state.fn == "validate":
+            self._print(trainer, pl_module, {"sample": trainer.val_dataloaders})
+
+    def on_test_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        self._print(trainer, pl_module, {"sample": trainer.test_dataloaders})
+
+    def on_predict_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        self._print(trainer, pl_module, {"simulation": trainer.predict_dataloaders})
+
+    def _print(self, trainer: Trainer, module: Any, loaders: dict[str, Any]) -> None:
+        if not trainer.is_global_zero:
+            return
+        data: Any = getattr(trainer, "datamodule", None)
+        counts = [_count(len(loader.dataset), unit) for unit, loader in loaders.items() if loader]
+        facts = [*counts, f"time step {1000 * data.time_step:g} ms"]
+        lines = {
+            "device": _device(trainer),
+            "data": f"{data.root}: {', '.join(facts)}",
+            "model": _model(module),
+            "results": str(self._folder),
+        }
+        for name, value in lines.items():
+            print(f"{name:<9}{value}", flush=True)
+
+
+def _count(number: int, unit: str) -> str:
+    return f"{number:,} {unit}{'' if number == 1 else 's'}"
+
+
+def _device(trainer: Trainer) -> str:
+    device = trainer.strategy.root_device
+    if device.type == "cuda":
+        name = torch.cuda.get_device_name(device)
+    else:
+        name = _count(torch.get_num_threads(), "thread")
+    processes = f", {trainer.world_size} processes" if trainer.world_size > 1 else ""
+    return f"{device.type}, {name}{processes}"
+
+
+def _model(module: Any) -> str:
+    models: dict[str, Any] = (
+        dict(module.models.items()) if isinstance(module.models, nn.ModuleDict) else module.models()
+    )
+    model = models.pop("model")
+    shown = ("local", "global_feature", "target", "integrator", "walls")
+    blocks = ", ".join(type(model.blocks()[name]).__name__ for name in shown)
+    weights = sum(weight.numel() for weight in model.network.parameters())
+    others = f"; trained with it: {', '.join(models)}" if models else ""
+    return f"{type(module).__name__}: {blocks}; {weights:,} weights{others}"
