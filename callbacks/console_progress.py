@@ -12,35 +12,43 @@ from fluidsnet.progress import Progress
 
 
 class ConsoleProgress(TQDMProgressBar):
-    """Lightning's progress bars as `Progress`: lines where output is not a terminal."""
+    """Lightning's progress bars, which become lines where output is not a terminal."""
 
     def init_sanity_tqdm(self) -> Any:
-        return self._bar("checking", leave=False)
+        return self._bar(self.sanity_check_description, leave=False)
 
     def init_train_tqdm(self) -> Any:
-        return self._bar("training", smoothing=0)
+        return self._bar(self.train_description)
 
     def init_validation_tqdm(self) -> Any:
         fitting = self.trainer.state.fn == "fit"
-        return self._bar("validating", position=int(fitting), leave=not fitting)
+        return self._bar(self.validation_description, position=int(fitting), leave=not fitting)
 
     def init_test_tqdm(self) -> Any:
-        return self._bar("testing")
+        return self._bar(self.test_description)
 
     def init_predict_tqdm(self) -> Any:
-        return self._bar("predicting", unit="simulation", smoothing=0)
+        return self._bar(self.predict_description, unit="simulation")
 
     def get_metrics(self, trainer: Trainer, pl_module: LightningModule) -> dict[str, Any]:
-        """Return what the bar shows: loss and skill, without the version of the run."""
+        """Return the metrics at the end of the bar, such as loss and skill."""
         metrics = dict(super().get_metrics(trainer, pl_module))
+        # The version of the run; `RunSummary` prints the folder.
         metrics.pop("v_num", None)
         return metrics
 
     def _bar(self, description: str, **settings: Any) -> Progress:
-        return Progress(
-            **{"desc": description, "unit": "batch", "leave": True, **settings},
+        return _Bar(
+            **{"unit": "batch", "leave": True, "smoothing": 0, **settings},
+            desc=description,
             disable=self.is_disabled,
             dynamic_ncols=True,
             file=sys.stdout,
             bar_format=self.BAR_FORMAT,
         )
+
+
+class _Bar(Progress):
+    def set_description(self, desc: str | None = None, refresh: bool | None = True) -> None:
+        """Set the description without the index of the only data loader."""
+        super().set_description((desc or "").removesuffix(" DataLoader 0"), refresh)
