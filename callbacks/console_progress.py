@@ -30,6 +30,14 @@ class ConsoleProgress(TQDMProgressBar):
     def init_predict_tqdm(self) -> Any:
         return self._bar(self.predict_description, unit="simulation")
 
+    def on_test_batch_end(self, *args: Any, **kwargs: Any) -> None:
+        super().on_test_batch_end(*args, **kwargs)
+        _close_if_complete(self.test_progress_bar)
+
+    def on_predict_batch_end(self, *args: Any, **kwargs: Any) -> None:
+        super().on_predict_batch_end(*args, **kwargs)
+        _close_if_complete(self.predict_progress_bar)
+
     def get_metrics(self, trainer: Trainer, pl_module: LightningModule) -> dict[str, Any]:
         """Return the metrics at the end of the bar, such as loss and skill."""
         metrics = dict(super().get_metrics(trainer, pl_module))
@@ -46,6 +54,12 @@ class ConsoleProgress(TQDMProgressBar):
             file=sys.stdout,
             bar_format=self.BAR_FORMAT,
         )
+
+
+def _close_if_complete(bar: Any) -> None:
+    """Close a bar before other callbacks print their tables below it."""
+    if bar.n == bar.total:
+        bar.close()
 
 
 class _Bar(Progress):

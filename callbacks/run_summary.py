@@ -8,23 +8,26 @@ import torch
 from lightning import Callback, LightningModule, Trainer
 from torch import nn
 
+from fluidsnet.reporting.results import results_folder
 from fluidsnet.reporting.run_folder import run_folder
 
 
 class RunSummary(Callback):
-    """Print device, data, model and the folder of the results, one line each.
+    """Print device, data, model, weights and the folder of the results, one line each.
 
     .. code-block:: text
 
         device   cpu, 2 threads
-        data     data/demo: 2,345 samples to train on, 300 to validate; time step 20 ms
-        model    FluidsNet: KernelMessages, VoxelField, DisplacementTarget; 232,110 weights
+        data     data/demo: 1,680 training samples, 240 validation samples, time step 20 ms
+        model    FluidsNet: NeighborMean, GlobalVector, VelocityTarget, Euler, OpenWalls
+        weights  23,171
         results  runs/demo
     """
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        """Look up the run's folder."""
-        self._folder = run_folder(trainer)
+        """Look up the folder, which all processes must do together."""
+        measures = stage in ("test", "predict")
+        self._folder = results_folder(trainer) if measures else run_folder(trainer)
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         samples = {
@@ -52,7 +55,7 @@ class RunSummary(Callback):
         lines = {
             "device": _device(trainer),
             "data": f"{data.root}: {', '.join(facts)}",
-            "model": _model(module),
+            **_model(module, trainer.ckpt_path),
             "results": str(self._folder),
         }
         for name, value in lines.items():
@@ -73,7 +76,7 @@ def _device(trainer: Trainer) -> str:
     return f"{device.type}, {name}{processes}"
 
 
-def _model(module: Any) -> str:
+def _model(module: Any, checkpoint: Any) -> dict[str, str]:
     models: dict[str, Any] = (
         dict(module.models.items()) if isinstance(module.models, nn.ModuleDict) else module.models()
     )
@@ -81,5 +84,8 @@ def _model(module: Any) -> str:
     shown = ("local", "global_feature", "target", "integrator", "walls")
     blocks = ", ".join(type(model.blocks()[name]).__name__ for name in shown)
     weights = sum(weight.numel() for weight in model.network.parameters())
-    others = f"; trained with it: {', '.join(models)}" if models else ""
-    return f"{type(module).__name__}: {blocks}; {weights:,} weights{others}"
+    twins = f"; together with {', '.join(models)}" if models else ""
+    return {
+        "model": f"{type(module).__name__}: {blocks}{twins}",
+        "weights": f"{weights:,}{f' from {checkpoint}' if checkpoint else ''}",
+    }

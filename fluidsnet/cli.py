@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 from argparse import SUPPRESS
+from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
 
 from jsonargparse import get_loader, set_loader
@@ -20,6 +21,7 @@ from yaml import YAMLError
 # Imported so that configs can name their classes without the package.
 import callbacks as callbacks
 from callbacks.console_progress import ConsoleProgress
+from callbacks.one_step_table import OneStepTable
 from callbacks.run_summary import RunSummary
 from datamodules.sph import SPHDataModule
 from fluidsnet.arguments import rewrite
@@ -90,6 +92,21 @@ class FluidsNetCLI(LightningCLI):
             **kwargs,
         )
 
+    def validate(self, **options: Any) -> None:
+        """Validate and print the metrics, one a line."""
+        self._print(self.trainer.validate(**{**options, "verbose": False}))
+
+    def test(self, **options: Any) -> None:
+        """Test; print the metrics if no `OneStepTable` has printed them."""
+        metrics = self.trainer.test(**{**options, "verbose": False})
+        if not any(isinstance(callback, OneStepTable) for callback in self.trainer.callbacks):
+            self._print(metrics)
+
+    def _print(self, metrics: Sequence[Mapping[str, float]]) -> None:
+        if self.trainer.is_global_zero:
+            for name, value in metrics[0].items():
+                print(f"{name:<40}{value:.4g}")
+
 
 def run(arguments: list[str]) -> None:
     """Run fit, validate, test or predict.
@@ -145,14 +162,8 @@ def _run(arguments: list[str]) -> None:
         save_config_kwargs={"overwrite": True},
         seed_everything_default=SEED,
         auto_configure_optimizers=False,
-        args=[*_with_defaults(rewrite(arguments, names)), "--base=null"],
+        args=[*rewrite(arguments, names), "--base=null"],
     )
-
-
-def _with_defaults(arguments: list[str]) -> list[str]:
-    command, *options = arguments
-    # Lightning's table of metrics repeats the one of `OneStepTable`.
-    return [command, *(["--verbose=false"] if command == "test" else []), *options]
 
 
 def _cause(error: BaseException | None) -> UserError | None:

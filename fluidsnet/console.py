@@ -16,6 +16,8 @@ _WARNINGS = (
     ".*Grad strides do not match bucket view strides.*",
     "The dirpath has changed from .*",
     "Checkpoint directory .* exists and is not empty.*",
+    ".*could not find the monitored key in the returned metrics.*",  # no validation yet
+    "Experiment logs directory .* exists and is not empty.*",
     "The number of training batches .* is smaller than the logging interval.*",
 )
 # Matched at the start of a log message. `RunSummary` prints device, model and folder instead.
@@ -23,7 +25,7 @@ _MESSAGES = re.compile(
     "💡 Tip"
     "|GPU available|TPU available"
     "|Seed set to"
-    "|Restoring states from|Restored all states|Loaded model weights"
+    "|Restoring states from|Loaded model weights"
     "|`Trainer.fit` stopped"
     "|Trainer already configured with model summary"
 )

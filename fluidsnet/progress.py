@@ -55,6 +55,10 @@ class Progress(tqdm):  # type: ignore[type-arg]
         elif time.monotonic() - self._written >= INTERVAL:
             self._write()
 
+    def __str__(self) -> str:
+        status = super().__str__().replace("s/ ", " s/")
+        return status if self._terminal else " ".join(status.split())
+
     def clear(self, nolock: bool = False) -> None:
         """Remove the bar from the terminal."""
         if self._terminal:
