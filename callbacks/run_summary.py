@@ -6,7 +6,6 @@ from typing import Any
 
 import torch
 from lightning import Callback, LightningModule, Trainer
-from torch import nn
 
 from fluidsnet.reporting.results import results_folder
 from fluidsnet.reporting.run_folder import run_folder
@@ -77,9 +76,7 @@ def _device(trainer: Trainer) -> str:
 
 
 def _model(module: Any, checkpoint: Any) -> dict[str, str]:
-    models: dict[str, Any] = (
-        dict(module.models.items()) if isinstance(module.models, nn.ModuleDict) else module.models()
-    )
+    models = dict(module.models.items())
     model = models.pop("model")
     shown = ("local", "global_feature", "target", "integrator", "walls")
     blocks = ", ".join(type(model.blocks()[name]).__name__ for name in shown)

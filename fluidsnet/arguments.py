@@ -11,6 +11,7 @@ import yaml
 
 from fluidsnet.deprecated import DeprecatedNames
 from fluidsnet.errors import UserError
+from fluidsnet.models.loading import checkpoint_path
 
 
 def rewrite(arguments: list[str], names: DeprecatedNames) -> list[str]:
@@ -42,13 +43,10 @@ def with_run(arguments: list[str]) -> list[str]:
     if rest[0] == "fit":
         raise UserError("--run names a run to test or predict with; fit takes --config.")
     folder = Path(run)
-    config, checkpoint = folder / "config.yaml", folder / "checkpoints" / "best.ckpt"
-    if not checkpoint.exists():
-        # A run that ended before its first validation has no best checkpoint.
-        checkpoint = checkpoint.with_name("last.ckpt")
-    for path in (config, checkpoint):
-        if not path.exists():
-            raise UserError(f"{folder} is not the folder of a run: {path} is missing.")
+    config = folder / "config.yaml"
+    if not config.exists():
+        raise UserError(f"{folder} is not the folder of a run: {config} is missing.")
+    checkpoint = checkpoint_path(folder)
     _keep_metrics(folder)
     logger, resolved = "--trainer.logger.init_args", folder.resolve()
     return [

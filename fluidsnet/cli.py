@@ -98,8 +98,9 @@ class FluidsNetCLI(LightningCLI):
 
     def test(self, **options: Any) -> None:
         """Test; print the metrics if no `OneStepTable` has printed them."""
+        chosen: list[Callback] = self.trainer.callbacks  # type: ignore[attr-defined]
         metrics = self.trainer.test(**{**options, "verbose": False})
-        if not any(isinstance(callback, OneStepTable) for callback in self.trainer.callbacks):
+        if not any(isinstance(callback, OneStepTable) for callback in chosen):
             self._print(metrics)
 
     def _print(self, metrics: Sequence[Mapping[str, float]]) -> None:

@@ -112,5 +112,11 @@ class DeprecatedNames:
         return kept
 
 
+def with_current_names(settings: dict[str, Any]) -> dict[str, Any]:
+    """Return arguments of `FluidsNet` with current names, without a warning."""
+    renamed: dict[str, Any] = DeprecatedNames().in_config(settings, ("model", "init_args"))
+    return renamed
+
+
 def _last_key(option: str) -> str:
     return option.lstrip("-").rpartition(".")[2]

@@ -56,6 +56,8 @@ def test_a_terminal_gets_a_bar() -> None:
     with os.fdopen(writer, "w") as terminal:
         for _ in Progress(range(3), desc="writing", file=terminal, ncols=60):
             pass
-        shown = os.read(reader, 10_000).decode()
+        shown = ""
+        while "3/3" not in shown:
+            shown += os.read(reader, 10_000).decode()
     os.close(reader)
     assert "\r" in shown and "writing: 100%" in shown and "3/3" in shown
