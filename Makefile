@@ -6,6 +6,8 @@ TORCH ?=
 export TORCH
 
 PACKAGES := fluidsnet datamodules callbacks tools
+# mypy and ruff fail if they cannot write a cache, as in a read-only checkout.
+MYPY_CACHE := $(if $(shell test -w . && echo yes),.mypy_cache,/dev/null)
 IN_VENV := .venv/bin/python
 
 .DEFAULT_GOAL := help
@@ -24,10 +26,9 @@ demo: setup ## simulate, train, test and roll out a small dam break; about five 
 	$(IN_VENV) -m tools.demo
 
 lint: setup ## check style and types
-	@# ruff fails if it cannot write its cache, as in a read-only checkout.
 	$(IN_VENV) -m ruff check --no-cache $(PACKAGES) tests
 	$(IN_VENV) -m ruff format --no-cache --check $(PACKAGES) tests
-	$(IN_VENV) -m mypy $(PACKAGES)
+	$(IN_VENV) -m mypy --cache-dir=$(MYPY_CACHE) $(PACKAGES)
 
 test: setup lint ## check style and types, then run every test
 	@# GOMP_SPINCOUNT as in fluidsnet/main.py. Tests of a file share fixtures: one worker runs a file.
