@@ -52,10 +52,6 @@ class Parser(LightningArgumentParser):
         """
         raise _cause(ex) or UserError(f"{message}\nSee `{self.prog} --help`.") from ex
 
-    def parse_object(self, cfg_obj: Any, *args: Any, **kwargs: Any) -> Any:
-        """Parse the hyperparameters of a checkpoint, which may have deprecated names."""
-        return super().parse_object(DeprecatedNames().in_config(cfg_obj), *args, **kwargs)
-
 
 class SaveFitConfig(SaveConfigCallback):
     """Save the config of a training run; a later test does not overwrite it."""
@@ -71,9 +67,14 @@ class FluidsNetCLI(LightningCLI):
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         # Read by `with_base`; the parser has to accept the key.
         parser.add_argument("--base", type=list[str] | None, default=None, help=SUPPRESS)
-        parser.link_arguments(
-            "data.grid_shape", "model.init_args.grid_shape", apply_on="instantiate"
-        )
+        shape = "grid_shape"
+        parser.link_arguments(f"data.{shape}", f"model.init_args.{shape}", apply_on="instantiate")
+
+    def _parse_ckpt_path(self) -> None:
+        """Leave the configuration as given; the module checks that the checkpoint matches it.
+
+        Lightning would replace ``--model`` options by the checkpoint's hyperparameters.
+        """
 
     def instantiate_trainer(self, **kwargs: Any) -> Trainer:
         """Instantiate the trainer with `RunSummary` and `ConsoleProgress`."""
