@@ -165,7 +165,8 @@ if TYPE_CHECKING:
     Block = Any
 else:
     #: Type of any block, for configs.
-    Block = Union[tuple(_TYPES.values())]  # noqa: UP007  # made from a tuple
+    # To save a list of widths, jsonargparse needs it as the first kind.
+    Block = Union[(list[int], *_TYPES.values())]  # made from a tuple
 
 
 def can_be(name: str, value: Any) -> bool:
