@@ -164,9 +164,9 @@ _OPTIONAL = {"noise"}
 if TYPE_CHECKING:
     Block = Any
 else:
+    # jsonargparse can save a list of widths only if its type is the first of the union.
     #: Type of any block, for configs.
-    # To save a list of widths, jsonargparse needs it as the first kind.
-    Block = Union[(list[int], *_TYPES.values())]  # made from a tuple
+    Block = Union[(list[int], *_TYPES.values())]
 
 
 def can_be(name: str, value: Any) -> bool:
@@ -178,9 +178,9 @@ def can_be(name: str, value: Any) -> bool:
     """
     if value is None:
         return name in _OPTIONAL
-    expected = _TYPES[name]
-    kinds = get_args(expected) if get_origin(expected) in (Union, UnionType) else (expected,)
-    for kind in (get_origin(kind) or kind for kind in kinds):
+    hint = _TYPES[name]
+    for kind in get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,):
+        kind = get_origin(kind) or kind
         if kind is Callable:
             # Blocks can be called, too.
             if isinstance(value, type | partial | FunctionType):
