@@ -10,6 +10,7 @@ ROOT = Path(__file__).parents[1]
 #: What may import what: a module may import those of a lower rank, and its own package.
 RANKS = {
     "fluidsnet.cache": 0,
+    "fluidsnet.compile_cache": 0,
     "fluidsnet.console": 0,
     "fluidsnet.deprecated": 0,
     "fluidsnet.distributed": 0,
