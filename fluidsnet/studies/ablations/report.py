@@ -1,120 +1,145 @@
-"""The page of the ablation study."""
+"""Report of the ablation study: ``ablations.md``, its CSV files and its figures."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from fluidsnet.studies.ablations.claims import claims, rule, warnings
+from fluidsnet.studies.ablations.claims import RULE, claims, warnings
 from fluidsnet.studies.ablations.comparison import compare
 from fluidsnet.studies.ablations.figures import draw_figures
-from fluidsnet.studies.ablations.files import write_files
-from fluidsnet.studies.ablations.flatness import FLAT
-from fluidsnet.studies.ablations.group import Group, grouped
-from fluidsnet.studies.ablations.numbers import MOTION, REST, STARTS, read_numbers
+from fluidsnet.studies.ablations.results import (
+    MOTION,
+    REST,
+    STARTS,
+    Group,
+    TrainedRun,
+    read_groups,
+)
 from fluidsnet.studies.ablations.tables import (
+    FLAT,
     comparison_table,
-    cost_line,
-    foreign_table,
+    cost_sentence,
     one_step_table,
+    permutation_table,
     rollout_table,
     training_table,
+    write_csv_files,
 )
-from fluidsnet.studies.ablations.trained_run import TrainedRun
 
-_PICTURES = {
-    "target.png": "Errors of both targets on the validation split, in one unit; thin lines are "
-    "seeds. The paper's figure 11 is of this.",
-    "global_feature.png": "The same with and without the global feature.",
-    "global_feature_energy.png": "Kinetic energy of the rollouts in motion. The paper's figure 12 "
-    "shows the velocity field instead.",
-}
+_TEXT = """\
+Each run trains the paper's network, which predicts the velocity and has the global feature, and \
+on the same batches two twins: one that predicts the acceleration, and one without the global \
+feature. All are measured with the weights of the last step. Numbers are means ± sample standard \
+deviations over the seeds; with one seed, and where all seeds agree, the value alone. All digits \
+are in {files}.
+
+## The paper's claims (section 5.6)
+
+{claims}
+{rule}
+
+![Validation errors with both targets, in one unit, as in the paper's figure 11; thin lines are \
+seeds.](target.png)
+
+![Validation errors with and without the global feature.](global_feature.png)
+
+![Kinetic energy of the rollouts in motion. The paper's figure 12 shows the velocity field \
+instead.](global_feature_energy.png)
+
+## Twin beside model
+
+All figures are errors: a ratio above 1 means that the model is better.
+
+{comparison}
+## One step ahead
+
+From the true states of the test split.
+
+{one_step}
+## Rollouts from rest
+
+From the first frame of each simulation of the test split to its end.
+
+{from_rest}
+## Rollouts in motion
+
+From a quarter of each simulation, when the fluid is fast, to its end.
+
+{in_motion}
+## Was training long enough?
+
+Change of the mean validation velocity_mse from the 7th to the last eighth of training; flat is a \
+change below {flat:g} %. The worst of the seeds is given. A curve is also flat where the learning \
+rate has become small.
+
+{training}
+## Does the network use its global feature?
+
+The model's velocity_mse with the global feature of another frame, drawn at random, over that with \
+the frame's own: 1 means that the network does not use it.
+
+{permutation}
+## Cost
+
+{cost}
+"""
 
 
 def write_report(output: Path, runs: Sequence[TrainedRun], planned: int) -> str:
-    """Writes ``ablations.md``, its CSV files and its figures.
+    """Write ``ablations.md``, its CSV files and its figures; return the Markdown.
 
     Args:
-        output: folder that they are written into; it is made.
-        runs: those that are finished: trained and tested.
-        planned: how many the study has.
-
-    Returns:
-        the Markdown.
+        output: Folder of the files, made if missing.
+        runs: The runs that are trained and tested.
+        planned: Number of runs of the whole study.
 
     Raises:
-        UserError: a run's folder is not one of a run, or is named twice.
+        UserError: A folder is not the folder of a run.
     """
     output.mkdir(parents=True, exist_ok=True)
-    numbers = read_numbers(runs)
-    groups = grouped(numbers)
+    groups = read_groups(runs)
     parts = ["# Ablations\n"]
     if len(runs) < planned:
         parts.append(f"**{len(runs)} of {planned} runs are finished.**\n")
     parts += [f"**{sentence}**\n" for sentence in warnings(groups)]
-    parts += [f"{sentence}\n" for one in numbers for sentence in one.missing()]
+    parts += [f"{it}\n" for group in groups for run in group.runs for it in run.problems]
     if groups:
         comparisons = compare(groups)
-        files = write_files(output, groups, comparisons)
+        files = write_csv_files(output, groups, comparisons)
         draw_figures(output, groups)
-        parts += [
-            "Each run trains the paper's network, which predicts the velocity and has the global "
-            "feature, and beside it on the same batches two twins: one that predicts the "
-            "acceleration, and one without the global feature. Measured are the last weights of "
-            "each. Numbers are means ± sample "
-            "standard deviations over seeds; of one seed, and where all agree, the value alone. "
-            f"In full they are in {', '.join(f'[{name}]({name})' for name in files)}.\n",
-            "## The paper's claims (section 5.6)\n",
-            claims(groups),
-            f"{rule()}\n",
-            *(f"![{words}]({name})\n" for name, words in _PICTURES.items()),
-            "## Twin beside model\n",
-            "Of each figure less is better: above 1 the model is better.\n",
-            comparison_table(comparisons),
-            "## One step ahead\n",
-            "From the true states of the test split.\n",
-            *_sections(groups, [one_step_table(group) for group in groups]),
-            "## Rollouts from rest\n",
-            "From the first frame of each simulation of the test split, to its end.\n",
-            *(f"{sentence}\n" for sentence in _times(groups, REST)),
-            *_sections(groups, [rollout_table(group, REST) for group in groups]),
-            "## Rollouts in motion\n",
-            "The same from a quarter of each simulation on, when the fluid is fast.\n",
-            *(f"{sentence}\n" for sentence in _times(groups, MOTION)),
-            *_sections(groups, [rollout_table(group, MOTION) for group in groups]),
-            "## Was training long enough?\n",
-            "The mean of the validations' velocity_mse over the last eighth of training, beside "
-            f"that over the eighth before; flat is a change below {100 * FLAT:g} %. The worst of "
-            "the seeds. A curve is also flat where the learning rate has become small.\n",
-            training_table(groups),
-            "## Does the network look at its global feature?\n",
-            "The model's velocity_mse with the global feature of another frame, drawn at random, "
-            "over that with its own: 1 means that it does not.\n",
-            foreign_table(groups),
-            "## Cost\n",
-            f"{cost_line(numbers)}\n",
-        ]
+        one_step = [f"### {group.title}\n\n{one_step_table(group)}" for group in groups]
+        parts.append(
+            _TEXT.format(
+                files=", ".join(f"[{name}]({name})" for name in files),
+                claims=claims(groups),
+                rule=RULE,
+                comparison=comparison_table(comparisons),
+                one_step="\n".join(one_step),
+                from_rest=_rollouts(groups, REST),
+                in_motion=_rollouts(groups, MOTION),
+                flat=100 * FLAT,
+                training=training_table(groups),
+                permutation=permutation_table(groups),
+                cost=cost_sentence(groups),
+            )
+        )
     text = "\n".join(parts)
-    (output / "ablations.md").write_text(text)
+    (output / "ablations.md").write_text(text, "utf-8")
     return text
 
 
-def _sections(groups: Sequence[Group], tables: Sequence[str]) -> list[str]:
-    return [f"### {group.title}\n\n{table}" for group, table in zip(groups, tables, strict=True)]
-
-
-def _times(groups: Sequence[Group], start: str) -> list[str]:
-    """A sentence for each scene whose strides have no rows at the same time."""
-    found = []
+def _rollouts(groups: Sequence[Group], start: str) -> str:
+    """Return the tables of rollouts, after a sentence where the times of the strides differ."""
+    parts = []
     for scene in dict.fromkeys(group.scene for group in groups):
         moments = {group.stride: group.moments(start) for group in groups if group.scene == scene}
-        for words, index in (("first", 0), ("last", -1)):
-            times = {stride: of[index].time for stride, of in moments.items() if len(of) == 2}
-            # Times are products of a time step.
+        for name, index in (("first", 0), ("last", -1)):
+            times = {stride: them[index].time for stride, them in moments.items() if len(them) == 2}
+            # Times are products of a time step, so they are equal up to rounding.
             if len({round(time, 6) for time in times.values()}) > 1:
-                when = ", ".join(
-                    f"after {time:.4g} s at stride {stride}" for stride, time in times.items()
-                )
-                where = f"{scene}, {STARTS[start]}"
-                found.append(f"{where}: the {words} rows are not of the same time, but {when}.")
-    return found
+                where = ", ".join(f"{time:.4g} s at stride {it}" for it, time in times.items())
+                place = f"{scene}, {STARTS[start]}"
+                parts.append(f"{place}: the times of the {name} rows differ: {where}.\n")
+    parts += [f"### {group.title}\n\n{rollout_table(group, start)}" for group in groups]
+    return "\n".join(parts)
