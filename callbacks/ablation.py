@@ -1,4 +1,4 @@
-"""Two models that differ in one block, trained side by side."""
+"""Ablation: a twin of the model that differs in one block, trained beside it."""
 
 from __future__ import annotations
 
@@ -13,56 +13,28 @@ from torch import nn
 
 from fluidsnet.baselines import TRIVIAL_PREDICTORS
 from fluidsnet.errors import UserError
-from fluidsnet.features.local import LocalFeature
-from fluidsnet.integrator import Integrator
 from fluidsnet.metrics.rollout_suite import BESIDE
+from fluidsnet.model import BLOCKS, Block, Model, can_be
 from fluidsnet.module import FluidsNet
-from fluidsnet.neighbors import NeighborSearch
-from fluidsnet.network import GlobalFeatureFactory
-from fluidsnet.noise import StartNoise
 from fluidsnet.particles import Transitions
 from fluidsnet.reporting.charts import Charts, ChartSource
 from fluidsnet.same_settings import same_settings
-from fluidsnet.target import Target
 from fluidsnet.training_cost import training_costs
-from fluidsnet.walls import Walls
 
-#: What takes a block's place.
-Variant = (
-    None
-    | list[int]
-    | Target
-    | LocalFeature
-    | Integrator
-    | Walls
-    | NeighborSearch
-    | StartNoise
-    | GlobalFeatureFactory
-)
-
-_KINDS: dict[str, type | tuple[type, ...]] = {
-    "neighbors": NeighborSearch,
-    "local": LocalFeature,
-    "target": Target,
-    "integrator": Integrator,
-    "walls": Walls,
-    "head": Sequence,
-    "noise": (StartNoise, type(None)),
-}
-#: The figures that are compared while training, all but the first in one unit for both models.
+#: Figures with a chart; the loss alone is in units that may differ between the models.
 _CHARTS = ("train_loss", "velocity_mse", "skill", "position_error_1_mm")
 
 
 class Ablation(Callback, ChartSource):
-    """Trains, beside the model, a twin of it with another block in one place.
+    """Train, beside the model, a twin in which one block is another.
 
-    Both start from the same weights wherever these have a counterpart, see the same batches
-    with the same noise, and have their gradients clipped apart. The model trains as it would
-    alone, bit for bit. Every validation logs `velocity_mse`, `skill` and `position_error_1_mm`
-    of the two, as ``ablation/<figure>/model`` and ``ablation/<figure>/<name>``, which
-    TensorBoard shows in one chart (tab "Custom Scalars"); every training step their losses,
-    each in the units of its own target. What a training step of each costs is measured once, on
-    the first batch (``ablation/cost/…``). `OneStepTable` has a row for the twin.
+    Both start from the same weights where these correspond, get the same batches with the same
+    noise, and have their gradients clipped apart. The model trains bit for bit as it would
+    alone. Every validation logs `velocity_mse`, `skill` and `position_error_1_mm` of both, as
+    ``ablation/<figure>/model`` and ``ablation/<figure>/<name>``, which TensorBoard shows in one
+    chart (tab "Custom Scalars"). Every training step logs their losses, each in the units of its
+    target. The cost of a training step of each is measured once, on the first batch
+    (``ablation/cost/…``). `OneStepTable` has a row for the twin.
 
     The twin is saved with the model. ``test`` and ``predict`` without this callback leave it out.
 
@@ -77,90 +49,97 @@ class Ablation(Callback, ChartSource):
                 name: acceleration
 
     Args:
-        block: that differs; an argument of `FluidsNet`: neighbors, local, global_feature, target,
-            integrator, walls, head or noise. Optimizer and schedule are for both.
-        variant: the twin's; None is for no noise.
-        name: of the twin, in logs and tables: lower-case letters, digits and ``_``.
+        block: Name of the block that differs, an argument of `fluidsnet.model.Model`: neighbors,
+            inputs, local, global_feature, target, integrator, walls, head or noise.
+        variant: The twin's block; None for no noise.
+        name: Name of the twin in logs and tables: lower-case letters, digits and ``_``.
 
     Raises:
-        UserError: there is no such block, the variant is none of its kind, or the name is
-            taken.
+        UserError: There is no such block, the variant is of another kind, or the name is taken.
     """
 
-    def __init__(self, block: str, variant: Variant = None, name: str = "twin") -> None:
-        if block not in (*_KINDS, "global_feature"):
+    def __init__(self, block: str, variant: Block = None, name: str = "twin") -> None:
+        if block not in BLOCKS:
             raise UserError(
-                f"Ablation: there is no block {block!r}; the blocks are "
-                f"{', '.join(sorted((*_KINDS, 'global_feature')))}."
+                f"Ablation: there is no block {block!r}; "
+                f"the blocks are {', '.join(sorted(BLOCKS))}."
             )
-        if not _fits(block, variant):
-            raise UserError(f"Ablation: {_words(variant)} cannot be the {block} of a FluidsNet.")
+        if not can_be(block, variant):
+            raise UserError(f"Ablation: {_label(variant)} cannot be the {block} of a FluidsNet.")
         taken = {"model", *TRIVIAL_PREDICTORS, *BESIDE, *dir(nn.ModuleDict)}
         if not re.fullmatch("[a-z][a-z0-9_]*", name) or name in taken:
             raise UserError(
-                f"Ablation: the name {name!r} is taken or has other signs than lower-case "
+                f"Ablation: the name {name!r} is taken or has characters other than lower-case "
                 "letters, digits and _; choose another."
             )
         self.block, self.variant, self.name = block, variant, name
         self._measured = False
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        """Makes the twin; a checkpoint is read after this.
+        """Add the twin to the module, before a checkpoint is read.
 
         Raises:
-            UserError: the module is not a FluidsNet, the twin would not differ, two twins have one
+            UserError: The module is not a FluidsNet, the twin would not differ, two twins have one
                 name, or the losses are scaled.
         """
         if not isinstance(pl_module, FluidsNet):
-            raise UserError("Ablation makes twins of FluidsNet alone.")
-        ablations = [other for other in _callbacks(trainer) if isinstance(other, Ablation)]
-        if sum(other.name == self.name for other in ablations) > 1:
+            raise UserError("Ablation makes twins of FluidsNet only.")
+        callbacks: list[Callback] = trainer.callbacks  # type: ignore[attr-defined]
+        ablations = [callback for callback in callbacks if isinstance(callback, Ablation)]
+        if sum(ablation.name == self.name for ablation in ablations) > 1:
             raise UserError(f"Two callbacks Ablation have the name {self.name!r}.")
         if stage == "fit" and getattr(trainer.precision_plugin, "scaler", None) is not None:
             raise UserError(
                 "With precision 16-mixed a step that overflows in one model is left out in both, "
                 "which couples them; use bf16-mixed or 32."
             )
-        twin = pl_module.twin({self.block: deepcopy(self.variant)})
-        known = pl_module.models().get(self.name)
-        if known is None:
-            if same_settings(pl_module.blocks()[self.block], twin.blocks()[self.block]):
+        twin = pl_module.model.twin({self.block: deepcopy(self.variant)})
+        known = pl_module.named_models().get(self.name)
+        if not same_settings(
+            *(self._block_of(model) for model in (twin, known or pl_module.model))
+        ):
+            if known is not None:
                 raise UserError(
-                    f"Ablation {self.name!r}: the model's own {self.block} is "
-                    f"{_words(self.variant)} with the same settings; name a variant that differs."
+                    f"This FluidsNet already has a twin {self.name!r} with another {self.block}; "
+                    "choose another name."
                 )
-            pl_module.add_twin(self.name, twin)
-        elif not same_settings(known.blocks()[self.block], twin.blocks()[self.block]):
+            pl_module.add_model(self.name, twin)
+        elif known is None:
             raise UserError(
-                f"This FluidsNet already has a twin {self.name!r} with another {self.block}; "
-                "choose another name."
+                f"Ablation {self.name!r}: the model's own {self.block} is "
+                f"{_label(self.variant)} with the same settings; name a variant that differs."
             )
-        # Of several, the first measures for all.
+        # The first ablation measures the cost for all.
         self._first = ablations[0] is self
         self._measured = stage != "fit"
 
+    def _block_of(self, model: Model) -> Any:
+        return model.blocks()[self.block]
+
     def charts(self, module: FluidsNet) -> Charts:
-        """One a figure, with all models."""
-        charts = {
-            figure: [f"ablation/{figure}/{name}" for name in module.models()] for figure in _CHARTS
+        """Return one chart for each figure, with all models."""
+        names = module.named_models()
+        return {
+            "ablation": {
+                figure: [f"ablation/{figure}/{name}" for name in names] for figure in _CHARTS
+            }
         }
-        return {"ablation": charts}
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Tells TensorBoard to draw the models into one chart a figure."""
+        """Write the charts' layout for TensorBoard."""
         assert isinstance(pl_module, FluidsNet)
         self.write_charts(trainer, pl_module)
 
     def on_train_batch_start(
         self, trainer: Trainer, pl_module: LightningModule, batch: Transitions, batch_idx: int
     ) -> None:
-        """Measures what the first step costs, on copies."""
+        """Measure and log the cost of a training step, on copies of the models."""
         if self._measured or not self._first:
             return
         self._measured = True
         assert isinstance(pl_module, FluidsNet)
         costs = training_costs(
-            pl_module.models(), batch, pl_module.optimizer, trainer.precision_plugin
+            pl_module.named_models(), batch, pl_module.optimizer, trainer.precision_plugin
         )
         figures = {
             f"ablation/cost/{figure}/{name}": value
@@ -173,20 +152,7 @@ class Ablation(Callback, ChartSource):
         rank_zero_info(f"A training step of {batch.state.frames} frames takes: {seconds}.")
 
 
-def _callbacks(trainer: Trainer) -> list[Callback]:
-    found: list[Callback] = trainer.callbacks  # type: ignore[attr-defined]
-    return found
-
-
-def _fits(block: str, variant: Variant) -> bool:
-    if block != "global_feature":
-        return isinstance(variant, _KINDS[block]) and not isinstance(variant, str)
-    # A factory is a class or a function; other blocks can be called, too, and are none.
-    others = tuple(kind for kind in _KINDS.values() if kind is not Sequence)
-    return callable(variant) and not isinstance(variant, others)
-
-
-def _words(variant: Any) -> str:
+def _label(variant: Any) -> str:
     if variant is None or isinstance(variant, Sequence):
         return str(variant)
     named = getattr(variant, "func", variant)

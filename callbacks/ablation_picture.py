@@ -122,11 +122,11 @@ class AblationPicture(Callback):
     ) -> dict[str, _States]:
         """Of each model, the states that are drawn."""
         start = start.to(module.device)
-        models, last = module.models(), max(steps)
+        models, last = module.named_models(), max(steps)
         found: dict[str, _States] = {}
         bar = tqdm(total=last * len(models), desc="drawing the ablation", unit="step", leave=False)
         for name, model in models.items():
-            states = rollout(model.network, model.integrator, model.walls, start.state, last)
+            states = rollout(model, start.state, last)
             state, found[name] = start.state, {}
             for step in range(last + 1):
                 if step > 0:

@@ -26,5 +26,5 @@ class CompiledNetwork(Callback):
         """
         if not isinstance(pl_module, FluidsNet):
             raise UserError("CompiledNetwork compiles the network of FluidsNet alone.")
-        for model in pl_module.models().values():
+        for model in pl_module.named_models().values():
             compile_network(model.network)

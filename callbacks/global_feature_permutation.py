@@ -12,6 +12,7 @@ from torch.utils.data import DataLoader
 
 from fluidsnet.errors import UserError
 from fluidsnet.module import FluidsNet
+from fluidsnet.network import Network
 from fluidsnet.one_step import OneStepErrors
 from fluidsnet.particles import Particles, Transitions
 from fluidsnet.reporting.run_folder import run_folder
@@ -50,7 +51,7 @@ class GlobalFeaturePermutation(Callback):
     def on_test_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Forgets an earlier test, and says so where there is nothing to compare."""
         assert isinstance(pl_module, FluidsNet)
-        context = pl_module.network.global_feature
+        context = pl_module.model.network.global_feature
         loader: Any = trainer.test_dataloaders
         reason = None
         if not context.one_a_frame:
@@ -85,8 +86,10 @@ class GlobalFeaturePermutation(Callback):
         others = [dataset[self._others[row]] for row in self._rows[batch_idx]]
         foreign = self._loader.collate_fn(others).state.to(pl_module.device)
         for name, source in (("own", batch.state), ("foreign", foreign)):
-            vectors = _vectors(pl_module, source)
-            self._errors[name].add(pl_module(batch.state, vectors[batch.state.frame]), batch)
+            vectors = _vectors(pl_module.model.network, source)
+            self._errors[name].add(
+                pl_module.model.step(batch.state, vectors[batch.state.frame]), batch
+            )
 
     def on_test_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Logs the figures and writes the table."""
@@ -122,9 +125,9 @@ def _others(frames: int) -> list[int]:
     return others.tolist()
 
 
-def _vectors(model: FluidsNet, state: Particles) -> Tensor:
+def _vectors(network: Network, state: Particles) -> Tensor:
     """The context of each frame, (F, width), which is that of any of its particles."""
-    of_particles = model.network.global_feature(state, model.network.features(state))
+    of_particles = network.global_feature(state, network.features(state))
     counts = torch.bincount(state.frame, minlength=state.frames)
     # A frame without particles gets a vector that nobody looks at.
     first = (counts.cumsum(0) - counts).clamp_max(len(state) - 1)

@@ -97,13 +97,11 @@ def hyperparameters(trainer: Trainer, module: FluidsNet) -> dict[str, Plain]:
     """
     found: dict[str, Plain] = {}
     for name in _BLOCKS:
-        block = module.blocks()[name]
+        block = module.model.blocks()[name]
         found[f"block/{name}"] = "none" if block is None else type(block).__name__
-    found["model/head"] = " ".join(map(str, module.network.head.widths[1:-1]))
-    found["model/k"] = module.network.neighbors.k
-    found["model/weights"] = sum(
-        weight.numel() for name, weight in module.named_parameters() if name[:6] != "twins."
-    )
+    found["model/head"] = " ".join(map(str, module.model.network.head.widths[1:-1]))
+    found["model/k"] = module.model.network.neighbors.k
+    found["model/weights"] = sum(weight.numel() for weight in module.model.parameters())
     data = getattr(trainer, "datamodule", None)
     found |= {f"data/{name}": getattr(data, name) for name in _OF_DATA if hasattr(data, name)}
     optimizer = trainer.optimizers[0]

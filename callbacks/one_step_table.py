@@ -44,7 +44,7 @@ class OneStepTable(Callback):
                     for column in self._columns
                 ),
             ]
-            for predictor in (*self._module.models(), *TRIVIAL_PREDICTORS)
+            for predictor in (*self._module.named_models(), *TRIVIAL_PREDICTORS)
         ]
         path = self._folder / "one_step"
         print(f"\n{write_table(path, self._header, rows)}\n{path}.md")

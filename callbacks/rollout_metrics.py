@@ -140,7 +140,7 @@ class RolloutMetrics(Callback, ChartSource):
             return {}
         steps = [step for step in CHARTED if self.steps is None or step <= self.steps]
         rollout = self._named("rollout")
-        alone = len(module.models()) == 1
+        alone = len(module.named_models()) == 1
         group = (
             f"{rollout}(_predictors)?" if alone else f"({rollout}_predictors|ablation_{rollout})"
         )
@@ -214,9 +214,9 @@ class RolloutMetrics(Callback, ChartSource):
             longest = max(starts.steps)
             names = [starts.names.index(name) for name in starts.names]
             costly = {*self.costly_steps, longest}
-            models = list(module.models())
+            models = list(module.named_models())
             self._suite = RolloutSuite(names, longest, costly, module.device, models)
-        for name in module.models():
+        for name in module.named_models():
             self._suite.forget(name)
         mine = range(trainer.global_rank, len(starts), trainer.world_size)
         bar = tqdm(
@@ -244,12 +244,10 @@ class RolloutMetrics(Callback, ChartSource):
         """One rollout of each model; where the others' figures are known, of these alone."""
         start = starts[index].to(module.device)
         rollouts = {
-            name: rollout(
-                model.network, model.integrator, model.walls, start.state, starts.steps[index]
-            )
-            for name, model in module.models().items()
+            name: rollout(model, start.state, starts.steps[index])
+            for name, model in module.named_models().items()
         }
-        baselines = Baselines(start.state, module.integrator)
+        baselines = Baselines(start.state, module.model.integrator)
         for step in range(1, starts.steps[index] + 1):
             with trainer.precision_plugin.forward_context():
                 states = {name: next(rolled) for name, rolled in rollouts.items()}

@@ -51,7 +51,7 @@ class SpeedMonitor(Callback):
         """Forgets an earlier training."""
         assert isinstance(pl_module, FluidsNet)
         # A copy: what the network's own search keeps of the last batch stays its own.
-        self._search = deepcopy(pl_module.network.neighbors)
+        self._search = deepcopy(pl_module.model.network.neighbors)
         self._warm = False
         self._began: float | None = None
         self._ended: float | None = None
@@ -120,7 +120,7 @@ class SpeedMonitor(Callback):
             self._search(batch.state)
         one = _now(module.device) - started
         # Each model, of several that train side by side, searches for itself.
-        searches = self._batches * len(batch.next_position) * len(module.models())
+        searches = self._batches * len(batch.next_position) * len(module.named_models())
         found = {
             "steps_per_second": steps / self._seconds,
             "particles_per_second": trainer.world_size * self._particles / self._seconds,

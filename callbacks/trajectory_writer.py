@@ -38,7 +38,7 @@ class TrajectoryWriter(Callback, RolloutObserver):
         """Opens the file and writes the first state."""
         path = rollout_file(self._folder, start.name)
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._errors = RolloutErrors(start.state, self._module.integrator)
+        self._errors = RolloutErrors(start.state, self._module.model.integrator)
         self._file = TrajectoryFile(path, particles=len(start.state))
         self._file.__enter__()
         none = torch.zeros(len(start.state), device=start.state.position.device)

@@ -1,4 +1,4 @@
-"""What a checkpoint says of the models it holds, so that no other ones take their weights."""
+"""Checkpoints: a note of the models' blocks, checked when weights are loaded."""
 
 from __future__ import annotations
 
@@ -8,85 +8,67 @@ from typing import Any
 from fluidsnet.errors import UserError
 from fluidsnet.model import Model
 
-_KEY, _TWINS = "fluidsnet_blocks", "fluidsnet_twins"
-# What the weights belong to; the rest of a model may be another one than it was trained with.
-_TRAINED = ("local", "global_feature", "target", "grid_shape")
+#: Key of the note in a checkpoint: for each model the class of each block, and the grid.
+NOTE = "fluidsnet_models"
+#: Prefix of the models' weights in the state dict.
+PREFIX = "models."
+_GRID = "grid_shape"
+
+Note = dict[str, dict[str, Any]]
 
 
 def describe(checkpoint: dict[str, Any], models: Mapping[str, Model]) -> None:
-    """Notes the models' blocks, and drops hyperparameters that are not plain values.
+    """Note the models' blocks in a checkpoint, and drop hyperparameters that are objects.
 
-    Lightning reads checkpoints with torch's `weights_only`, which refuses objects of ours: a
-    module built in Python has blocks as hyperparameters, and from a config their descriptions.
+    Lightning reads checkpoints with torch's `weights_only`, which refuses objects. A module
+    built in Python has blocks as hyperparameters; one built from a config has plain values.
 
     Args:
-        checkpoint: changed in place.
-        models: ``model``, and its twins.
+        checkpoint: Changed in place.
+        models: "model" and its twins.
     """
-    described = {name: _blocks(model) for name, model in models.items()}
-    main = described.pop("model")
-    checkpoint[_KEY] = {name: block for name, block in main.items() if name in _TRAINED}
-    if described:
-        # What makes a twin is a part of it, with or without weights.
-        checkpoint[_TWINS] = {
-            twin: {
-                name: block
-                for name, block in blocks.items()
-                if name in _TRAINED or block != main.get(name)
-            }
-            for twin, blocks in described.items()
-        }
+    checkpoint[NOTE] = {name: _note(model) for name, model in models.items()}
     settings: dict[str, Any] = checkpoint.get("hyper_parameters", {})
     for name in [name for name, value in settings.items() if not _is_plain(value)]:
         del settings[name]
 
 
-def check(checkpoint: dict[str, Any], model: Model) -> None:
-    """Compares a checkpoint's blocks with a model's.
+def check(checkpoint: dict[str, Any], models: Mapping[str, Model], resumed: bool) -> list[str]:
+    """Check that a checkpoint matches the models it is loaded into.
+
+    Args:
+        checkpoint: Loses, in place, the weights of twins that are not among the models.
+        models: "model" and its twins.
+        resumed: Whether training continues, which needs every twin.
+
+    Returns:
+        Names of the twins that were left out.
 
     Raises:
-        UserError: they differ, so that the weights would not fit, or mean something else.
+        UserError: Blocks differ, or a twin is missing on either side.
     """
-    for name, there, here in _differing(checkpoint.get(_KEY, {}), model):
-        if name == "grid_shape":
+    saved: Note = checkpoint.get(NOTE, {})
+    for block, there, here in _differences(saved.get("model", {}), models["model"]):
+        if block == _GRID:
             raise UserError(
                 f"This network was trained on a background grid of {_grid(there)} cells, and the "
                 f"data give {_grid(here)}: set data.voxel_size so that the two agree; a scene "
                 "scaled by s takes a voxel size scaled by s."
             )
         raise UserError(
-            f"This checkpoint was made with the {name} {there}, and this network has {here}: "
+            f"This checkpoint was made with the {block} {there}, and this network has {here}: "
             f"build it as it was trained, with the run's own config.yaml (--run) or, in Python, "
-            f"load_from_checkpoint(path, {name}=…)."
+            f"load_from_checkpoint(path, {block}=…)."
         )
-
-
-def check_twins(
-    checkpoint: dict[str, Any], models: Mapping[str, Model], resumed: bool
-) -> list[str]:
-    """Compares a checkpoint's twins with those of a model.
-
-    Args:
-        checkpoint: loses, in place, the weights of twins that the model does not have.
-        models: ``model``, and its twins.
-        resumed: whether training goes on, which no twin can leave.
-
-    Returns:
-        names of the twins that were left out.
-
-    Raises:
-        UserError: a twin's weights are missing or another's, or one would leave a training.
-    """
-    saved: dict[str, dict[str, Any]] = checkpoint.get(_TWINS, {})
-    for twin in models.keys() - {"model"}:
-        if twin not in saved:
+    for name in models.keys() - {"model"}:
+        if name not in saved:
             raise UserError(
-                f"This checkpoint holds no twin {twin!r}: leave out the callback Ablation of that "
+                f"This checkpoint holds no twin {name!r}: leave out the callback Ablation of that "
                 "name, or train the two beside each other from the start."
             )
-        for name, there, here in _differing(saved[twin], models[twin]):
+        for block, there, here in _differences(saved[name], models[name], twin_of=saved["model"]):
             raise UserError(
-                f"The twin {twin!r} of this checkpoint has the {name} {there}, and the callback "
+                f"The twin {name!r} of this checkpoint has the {block} {there}, and the callback "
                 f"Ablation makes one with {here}: give it the block and the variant that the "
                 "checkpoint was made with."
             )
@@ -96,35 +78,45 @@ def check_twins(
             f"This checkpoint was trained beside a twin {left_out[0]!r}: resume it with the "
             "callback Ablation that it was trained with."
         )
+    prefixes = tuple(f"{PREFIX}{name}." for name in left_out)
     weights: dict[str, Any] = checkpoint["state_dict"]
-    for name in list(weights):
-        if name.startswith(tuple(f"twins.{twin}." for twin in left_out)):
-            del weights[name]
+    for name in [name for name in weights if name.startswith(prefixes)]:
+        del weights[name]
     return left_out
 
 
-def _blocks(model: Model) -> dict[str, Any]:
-    blocks: dict[str, Any] = {
+def _note(model: Model) -> dict[str, Any]:
+    """Return the class of each block, and the grid where weights are bound to it."""
+    note: dict[str, Any] = {
         name: "null" if block is None else type(block).__name__
         for name, block in model.blocks().items()
     }
     if model.network.global_feature.needs_its_grid:
-        blocks["grid_shape"] = list(model.network.grid_shape)
-    return blocks
+        note[_GRID] = list(model.network.grid_shape)
+    return note
 
 
-def _differing(saved: Mapping[str, Any], model: Model) -> list[tuple[str, Any, Any]]:
-    """Name, what is saved and what is here, of each block in which the two differ."""
-    here = _blocks(model)
+def _differences(
+    saved: Mapping[str, Any], model: Model, twin_of: Mapping[str, Any] | None = None
+) -> list[tuple[str, Any, Any]]:
+    """Return name, saved and present class of each block that must agree and does not.
+
+    Weights belong to the modules of the network; the other blocks may be replaced after
+    training. A twin is defined by the block that differs from its model's, whichever it is.
+    """
+    present = _note(model)
+    bound = {_GRID, *dict(model.network.named_children())}
+    if twin_of is not None:
+        bound |= {name for name, block in saved.items() if block != twin_of.get(name, block)}
     return [
-        (name, there, here[name])
+        (name, there, present[name])
         for name, there in saved.items()
-        if name in here and there != here[name]
+        if name in bound and name in present and there != present[name]
     ]
 
 
-def _grid(cells: list[int]) -> str:
-    return " x ".join(map(str, cells))
+def _grid(shape: list[int]) -> str:
+    return " x ".join(map(str, shape))
 
 
 def _is_plain(value: Any) -> bool:

@@ -1,16 +1,20 @@
-"""A network with what makes steps of its motion, and what it is trained to; plain torch."""
+"""Model: a network with the integrator and walls that turn its output into a step."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import inspect
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
-from typing import Any
+from functools import partial
+from types import FunctionType
+from typing import TYPE_CHECKING, Any, Union, final, get_args, get_origin, get_type_hints
 
 import torch
 from torch import Tensor, nn
 
 from fluidsnet.errors import UserError
 from fluidsnet.features.global_feature import GlobalVector
+from fluidsnet.features.input import InputFeature
 from fluidsnet.features.local import LocalFeature, NeighborMean
 from fluidsnet.features.voxel import GridShape
 from fluidsnet.integrator import Euler, Integrator
@@ -25,22 +29,27 @@ from fluidsnet.target import Target, VelocityTarget
 from fluidsnet.walls import OpenWalls, Walls
 
 
+@final
 class Model(nn.Module):
-    """From a state to the next; `FluidsNet` is one that Lightning trains.
+    """One step in time of the fluid particles, composed from blocks.
+
+    The arguments after the grid are the blocks; `BLOCKS` has their names.
 
     Args:
-        grid_shape: of the background grid along x, y and z.
-        neighbors: search for neighbors; `Auto` by default.
-        local: local feature; `NeighborMean` by default.
-        global_feature: makes the feature of the whole scene; `GlobalVector` by default.
-        target: what is predicted; `VelocityTarget` by default.
-        integrator: from velocity to position; `Euler` by default.
-        walls: what happens at the domain's border; `OpenWalls` by default.
-        head: widths of the layers before the last.
-        noise: on the states trained on; none by default.
+        grid_shape: Number of cells of the background grid along x, y and z.
+        neighbors: Neighbor search; `Auto` by default.
+        inputs: Input feature (paper, section 4.2); `InputFeature` by default.
+        local: Local feature (section 4.3); `NeighborMean` by default.
+        global_feature: Builds the global feature (sections 4.4 and 4.5); `GlobalVector` by
+            default.
+        target: Quantity that the head predicts (section 4.2); `VelocityTarget` by default.
+        integrator: Time integration (section 4.6); `Euler` by default.
+        walls: Condition at the border of the domain; `OpenWalls` by default.
+        head: Widths of the head's hidden layers (Table 1: 32, 16, 8).
+        noise: Noise on the states that are trained on; none by default.
 
     Raises:
-        UserError: the integrator needs what the target does not give.
+        UserError: The integrator needs a displacement and the target gives none.
     """
 
     time_step: Tensor
@@ -49,6 +58,7 @@ class Model(nn.Module):
         self,
         grid_shape: GridShape,
         neighbors: NeighborSearch | None = None,
+        inputs: InputFeature | None = None,
         local: LocalFeature | None = None,
         global_feature: GlobalFeatureFactory | None = None,
         target: Target | None = None,
@@ -58,19 +68,21 @@ class Model(nn.Module):
         noise: StartNoise | None = None,
     ) -> None:
         super().__init__()
-        self._context, self._head = global_feature or GlobalVector, head
+        # Blocks that the network builds; a twin builds its own from the same recipe.
+        self._recipes = {"global_feature": global_feature or GlobalVector, "head": head}
         self.network = Network(
             grid_shape=grid_shape,
             neighbors=neighbors or Auto(),
+            inputs=inputs or InputFeature(),
             local=local or NeighborMean(),
-            global_feature=self._context,
+            global_feature=global_feature or GlobalVector,
             target=target or VelocityTarget(),
             head=head,
         )
         self.integrator = integrator or Euler()
         self.walls = walls or OpenWalls()
         self.noise = noise
-        # Part of the checkpoint, so that a network never runs at a step it was not trained on.
+        # Part of the checkpoint: a network is valid for the time step it was trained at.
         self.register_buffer("time_step", torch.zeros((), dtype=torch.float64))
         if self.integrator.needs_displacement and not self.network.target.gives_displacement:
             raise UserError(
@@ -80,20 +92,33 @@ class Model(nn.Module):
             )
 
     def set_statistics(self, statistics: Statistics, time_step: float) -> None:
-        """Takes the scale of inputs and target, and the time step in s, from the training data."""
+        """Set the normalization and the time step (s) from the training split."""
         self.network.set_statistics(statistics)
         if self.noise is not None:
             self.noise.set_statistics(statistics)
         self.time_step.fill_(time_step)
 
-    def forward(self, particles: Particles, global_feature: Tensor | None = None) -> Particles:
-        """The predicted state one step later; `global_feature` as `Network` takes it."""
-        return self.walls(
-            self.integrator(particles, self.network.motion(particles, global_feature))
-        )
+    def step(self, particles: Particles, global_feature: Tensor | None = None) -> Particles:
+        """Return the predicted state one time step later.
+
+        Args:
+            particles: N fluid particles and the solid ones.
+            global_feature: (N, width) that replaces the state's own global feature.
+        """
+        return self.advance(particles, self.network(particles, global_feature))
+
+    def advance(self, particles: Particles, output: Tensor) -> Particles:
+        """Return the next state for a network output: decode, integrate, apply the walls.
+
+        Args:
+            particles: State that the output was computed from.
+            output: (N, target.width).
+        """
+        motion = self.network.target.decode(output, particles)
+        return self.walls(self.integrator(particles, motion))
 
     def loss(self, batch: Transitions) -> Tensor:
-        """The mean squared error of the head's output, over as many steps as the batch has, ()."""
+        """Return the mean squared error of the network output over the batch's steps, ()."""
         state = batch.state if self.noise is None else self.noise(batch.state)
         losses = []
         for position, velocity in zip(batch.next_position, batch.next_velocity, strict=True):
@@ -101,45 +126,62 @@ class Model(nn.Module):
             expected = self.network.target.encode(state, position, velocity)
             losses.append(mean_square(output, expected))
             if len(losses) < len(batch.next_position):
-                motion = self.network.target.decode(output, state)
-                state = self.walls(self.integrator(state, motion))
+                state = self.advance(state, output)
         return torch.stack(losses).mean()
 
     def blocks(self) -> dict[str, Any]:
-        """The blocks as built, by the names that the constructor gives them."""
-        network = self.network
+        """Return the blocks as built, by the names of the constructor's arguments."""
         return {
-            "neighbors": network.neighbors,
-            "local": network.local,
-            "global_feature": network.global_feature,
-            "target": network.target,
-            "integrator": self.integrator,
-            "walls": self.walls,
-            "head": network.head,
-            "noise": self.noise,
+            name: getattr(self if hasattr(self, name) else self.network, name) for name in BLOCKS
         }
 
     def twin(self, changes: Mapping[str, Any] | None = None) -> Model:
-        """Another model with blocks of its own, alike but for what is changed.
+        """Build a model with blocks of its own that equal this one's except for changes.
 
-        Weights whose names and shapes agree are equal. The others are drawn, which leaves no
-        trace in the random numbers that follow.
+        Weights whose names and shapes agree are equal; the others are initialized without a
+        change to the random numbers that follow.
 
         Args:
-            changes: other arguments of the constructor, by their names.
+            changes: Blocks by their names.
         """
-        made_elsewhere = {"global_feature": self._context, "head": self._head}
-        kept = {name: block for name, block in self.blocks().items() if name not in made_elsewhere}
+        blocks = {name: block for name, block in self.blocks().items() if name not in self._recipes}
         with preserve_rng_state():
             twin = Model(
-                **{
-                    "grid_shape": self.network.grid_shape,
-                    **made_elsewhere,
-                    **deepcopy(kept),
-                    **(changes or {}),
-                }
+                self.network.grid_shape, **{**deepcopy(blocks), **self._recipes, **(changes or {})}
             )
-        own, mine = twin.state_dict(), self.state_dict()
-        shared = [name for name in own if name in mine and own[name].shape == mine[name].shape]
-        twin.load_state_dict({name: mine[name] for name in shared}, strict=False)
+        own, source = twin.state_dict(), self.state_dict()
+        shared = [name for name in own if name in source and own[name].shape == source[name].shape]
+        twin.load_state_dict({name: source[name] for name in shared}, strict=False)
         return twin
+
+
+#: Names of the blocks.
+BLOCKS = tuple(inspect.signature(Model).parameters)[1:]
+_TYPES = {name: get_type_hints(Model.__init__)[name] for name in BLOCKS}
+# A model without one of the others gets its default.
+_OPTIONAL = {"noise"}
+
+if TYPE_CHECKING:
+    Block = Any
+else:
+    #: Type of any block, for configs.
+    Block = Union[tuple(_TYPES.values())]  # noqa: UP007  # made from a tuple
+
+
+def can_be(name: str, value: Any) -> bool:
+    """Return whether a value can be the block of this name.
+
+    Args:
+        name: One of `BLOCKS`.
+        value: Block, or a recipe for it where the model builds it.
+    """
+    if value is None:
+        return name in _OPTIONAL
+    for kind in (get_origin(of) or of for of in get_args(_TYPES[name]) or (_TYPES[name],)):
+        if kind is Callable:
+            # Blocks can be called, too.
+            if isinstance(value, type | partial | FunctionType):
+                return True
+        elif isinstance(value, kind) and not isinstance(value, str):
+            return True
+    return False

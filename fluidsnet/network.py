@@ -30,6 +30,7 @@ class Network(nn.Module):
     Args:
         grid_shape: of the background grid along x, y, z.
         neighbors: search for the nearest neighbors.
+        inputs: input feature (section 4.2).
         local: feature of the neighborhood (section 4.3).
         global_feature: makes the feature of the whole scene (sections 4.4 and 4.5).
         target: what the head predicts.
@@ -40,6 +41,7 @@ class Network(nn.Module):
         self,
         grid_shape: GridShape,
         neighbors: NeighborSearch,
+        inputs: InputFeature,
         local: LocalFeature,
         global_feature: GlobalFeatureFactory,
         target: Target,
@@ -48,7 +50,7 @@ class Network(nn.Module):
         super().__init__()
         self.grid_shape = grid_shape
         self.neighbors = neighbors
-        self.inputs = InputFeature()
+        self.inputs = inputs
         self.local = local
         width = self.inputs.width + local.width
         self.global_feature = global_feature(grid_shape, width)

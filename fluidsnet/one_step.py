@@ -1,4 +1,4 @@
-"""What a prediction is measured by, one step from a true state."""
+"""Errors one step ahead of a true state."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fluidsnet.particles import Particles, Transitions
 
 @final
 class OneStepErrors(nn.Module):
-    """`velocity_mse` (m²/s²), `skill` and `position_error_1_mm`, over the frames so far."""
+    """`velocity_mse` (m²/s²), `skill` and `position_error_1_mm` over the frames added so far."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -23,22 +23,29 @@ class OneStepErrors(nn.Module):
         self.position_error_1_mm = PositionError()
 
     def add(self, state: Particles, batch: Transitions) -> None:
-        """Adds predicted states, whose truth is the first that follows in the batch."""
+        """Add predicted states, compared with the first next state of the batch."""
         position, velocity = batch.next_position[0], batch.next_velocity[0]
         start, simulation = batch.state, batch.simulation
         self.velocity_mse.update(state.velocity, velocity, start, simulation)
         self.skill.update(state.velocity, velocity, start, simulation)
         self.position_error_1_mm.update(state.position, position, start, simulation)
 
-    def log_from(self, module: LightningModule, tag: str, frames: int) -> None:
-        """Logs each figure; Lightning averages it over the loop and then resets it.
+    def log_from(self, module: LightningModule, path: str, tag: str, frames: int) -> None:
+        """Log each figure; Lightning averages it over the loop and then resets it.
 
         Args:
-            module: that this is a part of.
-            tag: with ``{}`` where the figure's name goes.
-            frames: of the batch just added.
+            module: Module that these errors are a part of.
+            path: Attribute path of these errors in the module.
+            tag: Tag with ``{}`` in place of the figure's name.
+            frames: Number of frames in the batch just added.
         """
         for name, metric in self.named_children():
             assert isinstance(metric, Metric)
-            shown = name == "skill" and tag == "val/{}"
-            module.log(tag.format(name), metric, batch_size=frames, prog_bar=shown)
+            # With the path Lightning does not search the module for the metric.
+            module.log(
+                tag.format(name),
+                metric,
+                batch_size=frames,
+                prog_bar=tag == "val/{}" and name == "skill",
+                metric_attribute=f"{path}.{name}",
+            )

@@ -13,7 +13,11 @@ def test_compiling_renames_no_weight_and_stores_nothing() -> None:
     names = list(module.state_dict())
     CompiledNetwork().setup(Trainer(logger=False), module, "predict")
     assert list(module.state_dict()) == names
-    for part in (module.network.local, module.network.global_feature, module.network.head):
+    for part in (
+        module.model.network.local,
+        module.model.network.global_feature,
+        module.model.network.head,
+    ):
         assert part._compiled_call_impl is not None
 
 

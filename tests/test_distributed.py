@@ -41,7 +41,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 def test_two_processes_train_as_one_with_twice_the_batch(folders: tuple[Path, Path]) -> None:
     one = torch.load(folders[0] / "process_0.pt")
-    assert any(name.startswith("twins.") for name in one["weights"])
+    assert any(name.startswith("models.other.") for name in one["weights"])
     two = [torch.load(folders[1] / f"process_{rank}.pt") for rank in range(2)]
     # Particles of the two differ, and so would a mean of their means.
     assert two[0]["sizes"] != two[1]["sizes"]

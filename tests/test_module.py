@@ -72,17 +72,17 @@ def test_the_loss_over_steps_is_that_of_each_step(sample: Path) -> None:
     model = FluidsNet(
         source.grid_shape, global_feature=NoGlobalFeature, target=AccelerationTarget()
     )
-    model.set_statistics(source.statistics, source.time_step)
+    model.model.set_statistics(source.statistics, source.time_step)
     model.log = lambda *_, **__: None  # type: ignore[method-assign]
     batch = next(iter(source.train_dataloader()))
     found = model.training_step(batch, 0)
-    first = model.network(batch.state)
-    wanted = model.network.target.encode(
+    first = model.model.network(batch.state)
+    wanted = model.model.network.target.encode(
         batch.state, batch.next_position[0], batch.next_velocity[0]
     )
     state = model(batch.state)
-    second = model.network(state)
-    then = model.network.target.encode(state, batch.next_position[1], batch.next_velocity[1])
+    second = model.model.network(state)
+    then = model.model.network.target.encode(state, batch.next_position[1], batch.next_velocity[1])
     expected = ((first - wanted).square().mean() + (second - then).square().mean()) / 2
     assert torch.allclose(found, expected, rtol=1e-5)
 
@@ -98,9 +98,9 @@ def test_scale_comes_from_the_training_data_and_stays_with_the_checkpoint(
     runner.fit(model, source)
     again = FluidsNet.load_from_checkpoint(tmp_path / "kept.ckpt")
     deviation = source.statistics.velocity_deviation
-    assert torch.equal(again.network.inputs.velocity_deviation.cpu(), deviation)
-    assert torch.equal(again.network.target.deviation.cpu(), deviation)
-    assert float(again.time_step) == pytest.approx(0.02)
+    assert torch.equal(again.model.network.inputs.velocity_deviation.cpu(), deviation)
+    assert torch.equal(again.model.network.target.deviation.cpu(), deviation)
+    assert float(again.model.time_step) == pytest.approx(0.02)
     batch = next(iter(source.val_dataloader()))
     model.eval()
     again.eval()
@@ -124,8 +124,8 @@ def test_a_network_of_other_blocks_comes_back_from_its_checkpoint(
     model = FluidsNet(source.grid_shape, integrator=Displacement(), noise=StartNoise(), **blocks)
     kept = _keep(model, source, tmp_path)
     again = FluidsNet.load_from_checkpoint(kept, **blocks)
-    for name, value in model.network.state_dict().items():
-        assert torch.equal(again.network.state_dict()[name].cpu(), value.cpu())
+    for name, value in model.model.network.state_dict().items():
+        assert torch.equal(again.model.network.state_dict()[name].cpu(), value.cpu())
     trainer(tmp_path).test(again, source, ckpt_path=kept, weights_only=True, verbose=False)
 
 
@@ -195,7 +195,7 @@ def test_a_run_without_an_end_is_refused(sample: Path, tmp_path: Path) -> None:
 def test_weight_counts_are_those_the_documentation_gives() -> None:
     counts = {}
     for cells in ((21, 21, 21), (18, 12, 18)):
-        network = FluidsNet(cells).network
+        network = FluidsNet(cells).model.network
         context = network.global_feature
         counts[cells] = [
             sum(weight.numel() for weight in part.parameters())

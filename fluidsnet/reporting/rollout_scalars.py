@@ -44,7 +44,7 @@ def scalars_of(figures: Figures, longest: int) -> Scalars:
 
 def log_beside(trainer: Trainer, module: FluidsNet, group: str, scalars: Scalars) -> None:
     """Logs the predictors', and of models that train side by side each one's."""
-    models = {name: scalars.pop(name) for name in module.models()}
+    models = {name: scalars.pop(name) for name in module.named_models()}
     log_scalars(trainer, f"{group}_predictors", scalars)
     if len(models) > 1:
         log_scalars(trainer, f"ablation_{group}", models)

@@ -41,7 +41,7 @@ class _Bench:
             trial.model, trial.run, trial.neighbors, scene.time_step
         ).to(self.device)
         if trial.compile:
-            compile_network(self.module.network)
+            compile_network(self.module.model.network)
 
     def precision(self) -> contextlib.AbstractContextManager[Any]:
         """Autocast, where it is asked for."""
@@ -61,7 +61,7 @@ class _Bench:
     def search(self) -> Any:
         """The edges of the state."""
         with torch.no_grad():
-            found = self.module.network.neighbors(self.states[-1].to(self.device))
+            found = self.module.model.network.neighbors(self.states[-1].to(self.device))
             _wait(self.device)
             return found
 
@@ -119,7 +119,7 @@ def _step(bench: _Bench) -> Result:
 
 def _batch(bench: _Bench) -> Result:
     trial = bench.trial
-    predict = BatchedPrediction(bench.module.network, bench.device)
+    predict = BatchedPrediction(bench.module.model.network, bench.device)
 
     def work() -> None:
         with bench.precision():

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import torch
-import yaml
-from jsonargparse import ArgumentParser
 
 import fluidsnet.neighbors
 from fluidsnet.errors import UserError
+from fluidsnet.models.loading import build, read_checkpoint
 from fluidsnet.module import FluidsNet
 from fluidsnet.neighbors import NeighborSearch
 from fluidsnet.studies.dam_break import CELLS
-
-# Of training; no study of speed needs them.
-_TRAINING = ("optimizer", "schedule", "noise", "grid_shape")
 
 
 def load_model(model: str | None, run: str | None, neighbors: str, time_step: float) -> FluidsNet:
@@ -34,26 +29,23 @@ def load_model(model: str | None, run: str | None, neighbors: str, time_step: fl
             time step.
     """
     torch.manual_seed(0)
-    weights: dict[str, Any] = {}
-    grid_shape = CELLS
     if run is not None:
-        folder = Path(run)
-        model = str(folder / "config.yaml")
-        checkpoint = _checkpoint(folder)
-        weights, grid_shape = (
-            checkpoint["state_dict"],
-            tuple(checkpoint["hyper_parameters"]["grid_shape"]),
-        )
-        trained = float(weights["time_step"])
+        checkpoint = read_checkpoint(Path(run))
+        module = build(Path(run, "config.yaml"), checkpoint["hyper_parameters"]["grid_shape"])
+        module.on_load_checkpoint(checkpoint)
+        module.load_state_dict(checkpoint["state_dict"])
+        trained = float(module.model.time_step)
         if abs(trained - time_step) > 1e-6 * trained:
             raise UserError(
                 f"{run} was trained at a time step of {trained:g} s, not {time_step:g} s; "
                 f"add --time_step {trained:g}."
             )
-    module = FluidsNet(grid_shape) if model is None else _configured(Path(model), grid_shape)
-    if weights:
-        module.load_state_dict(weights)
-    module.network.neighbors = search(neighbors, module.network.neighbors.k)
+    elif model is not None:
+        module = build(Path(model), CELLS)
+    else:
+        module = FluidsNet(CELLS)
+    network = module.model.network
+    network.neighbors = search(neighbors, network.neighbors.k)
     return module.eval()
 
 
@@ -66,35 +58,3 @@ def search(name: str, k: int) -> NeighborSearch:
     """
     made: NeighborSearch = getattr(fluidsnet.neighbors, name)(k)
     return made
-
-
-def _checkpoint(folder: Path) -> dict[str, Any]:
-    for name in ("best.ckpt", "last.ckpt"):
-        path = folder / "checkpoints" / name
-        if path.exists():
-            # Weights and plain settings only: a checkpoint may come from someone else.
-            checkpoint: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-            return checkpoint
-    raise UserError(f"{folder} is not the folder of a run: it has no checkpoints/best.ckpt.")
-
-
-def _configured(path: Path, grid_shape: tuple[int, ...]) -> FluidsNet:
-    try:
-        described: dict[str, Any] = dict(yaml.safe_load(path.read_text())["model"])
-    except (OSError, TypeError, KeyError, ValueError, yaml.YAMLError) as error:
-        raise UserError(
-            f"{path} holds no `model:`; name a file such as configs/model/paper.yaml."
-        ) from error
-    settings = dict(described.get("init_args") or {})
-    for name in _TRAINING:
-        settings.pop(name, None)
-    parser = ArgumentParser(exit_on_error=False)
-    parser.add_subclass_arguments(FluidsNet, "model")
-    try:
-        options = parser.parse_object(
-            {"model": {**described, "init_args": {**settings, "grid_shape": list(grid_shape)}}}
-        )
-        module: FluidsNet = parser.instantiate(options).model
-    except (ValueError, TypeError) as error:
-        raise UserError(f"{path} does not describe a FluidsNet: {error}") from error
-    return module

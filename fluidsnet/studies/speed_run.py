@@ -60,7 +60,7 @@ class Run:
         self.solvers = [solver for solver in self.solvers if solver != "none"]
         self._before: dict[str, Row] = {}
         # Found out now, and not after the solver has run.
-        self._network = load_model(self.model, self.run, "Auto", self.time_step).network
+        self._network = load_model(self.model, self.run, "Auto", self.time_step).model.network
 
     def measure(self) -> None:
         """Measures, and writes tables and figure after each measurement."""

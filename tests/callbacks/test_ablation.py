@@ -71,7 +71,7 @@ class FirstWeights(Callback):
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         assert isinstance(pl_module, FluidsNet)
-        self.kept = weights(pl_module.twins["other"])
+        self.kept = weights(pl_module.models["other"])
 
 
 def assert_equal(found: Weights, expected: Weights) -> None:
@@ -86,19 +86,19 @@ def test_a_twin_differs_in_its_block_alone_and_starts_from_the_same_weights() ->
     with preserve_rng_state():
         expected = torch.rand(3)
     target, context = (
-        model.twin({"target": AccelerationTarget()}),
-        model.twin({"global_feature": NoGlobalFeature}),
+        model.model.twin({"target": AccelerationTarget()}),
+        model.model.twin({"global_feature": NoGlobalFeature}),
     )
     assert torch.equal(torch.rand(3), expected)
     for twin, changed in ((target, "target"), (context, "global_feature")):
         for name, block in twin.blocks().items():
-            mine = model.blocks()[name]
+            mine = model.model.blocks()[name]
             assert block is not mine
             assert (type(block) is type(mine)) == (name != changed)
         theirs = {value.data_ptr() for value in twin.parameters()}
         assert not theirs & {value.data_ptr() for value in model.parameters()}
-    assert_equal(weights(target), weights(model))
-    own, mine = weights(context), weights(model)
+    assert_equal(weights(target), weights(model.model))
+    own, mine = weights(context), weights(model.model)
     # The head's first layer has nothing to look at where the vector was.
     assert {name for name in own if own[name].shape != mine[name].shape} == {
         "network.head.0.weight"
@@ -125,20 +125,18 @@ def test_model_and_twin_train_as_each_would_alone(
         trainer(tmp_path, *callbacks, max_steps=5, gradient_clip_val=clip).fit(model, data(sample))
 
     torch.manual_seed(0)
-    cells = data(sample).cells
+    cells = data(sample).grid_shape
     alone = FluidsNet(cells, **blocks)
     beside = copy.deepcopy(alone)
     run(alone)
     first = FirstWeights()
     run(beside, Ablation(block, *changed.values(), "other"), first)
     separate = FluidsNet(cells, **{**copy.deepcopy(blocks), **copy.deepcopy(changed)})
-    separate.load_state_dict(first.kept)
+    separate.model.load_state_dict(first.kept)
     run(separate)
-    found = weights(beside)
-    twin = {name: found.pop(name) for name in list(found) if name.startswith("twins.")}
-    assert_equal(found, weights(alone))
-    twin = {name.removeprefix("twins.other."): value for name, value in twin.items()}
-    assert_equal(twin, weights(separate))
+    found, twin = weights(beside.model), weights(beside.models["other"])
+    assert_equal(found, weights(alone.model))
+    assert_equal(twin, weights(separate.model))
     for trained, start in ((twin, first.kept), (found, twin)):
         assert not torch.equal(trained["network.head.0.bias"], start["network.head.0.bias"])
 
@@ -179,7 +177,7 @@ def test_a_checkpoint_can_be_used_without_its_twin_but_not_resumed(
     model, kept = _trained(sample, tmp_path)
     source = data(sample)
     alone = FluidsNet.load_from_checkpoint(kept)
-    expected = {name for name in model.state_dict() if not name.startswith("twins.")}
+    expected = {name for name in model.state_dict() if not name.startswith("models.other.")}
     assert alone.state_dict().keys() == expected
     plain = FluidsNet(source.grid_shape)
     found = trainer(tmp_path).test(plain, source, ckpt_path=kept, verbose=False)[0]
@@ -248,7 +246,7 @@ def test_several_twins_train_beside_one_model_and_are_measured(
     # Twins that the module has are kept, by new callbacks too.
     again = (Ablation("target", AccelerationTarget(), "acceleration"), *ablations[1:])
     tested = trainer(tmp_path, *again).test(model, source, verbose=False)[0]
-    assert {f"test/{name}/skill" for name in model.models()} <= tested.keys()
+    assert {f"test/{name}/skill" for name in model.named_models()} <= tested.keys()
     with pytest.raises(UserError, match="already has a twin 'narrow'"):
         trainer(tmp_path, Ablation("head", [4], "narrow")).test(model, source, verbose=False)
 
@@ -260,7 +258,7 @@ def test_several_twins_train_beside_one_model_and_are_measured(
             "targets",
             AccelerationTarget(),
             "other",
-            "no block 'targets'; the blocks are global_feature,",
+            "no block 'targets'; the blocks are global_feature, head,",
         ),
         ("optimizer", None, "other", "no block 'optimizer'"),
         ("target", Trapezoid(), "other", "Trapezoid cannot be the target"),
@@ -276,7 +274,7 @@ def test_several_twins_train_beside_one_model_and_are_measured(
         ("target", AccelerationTarget(), "ballistic", "'ballistic' is taken"),
         ("target", AccelerationTarget(), "truth", "'truth' is taken"),
         ("target", AccelerationTarget(), "keys", "'keys' is taken"),
-        ("target", AccelerationTarget(), "a/b", "'a/b' is taken or has other signs"),
+        ("target", AccelerationTarget(), "a/b", "'a/b' is taken or has characters other"),
     ],
 )
 def test_what_cannot_be_a_twin_is_refused(block: str, variant: Any, name: str, words: str) -> None:
@@ -318,7 +316,7 @@ def test_other_settings_make_a_twin(block: str, variant: Any) -> None:
     model = FluidsNet((6, 4, 6), walls=StopAtWalls(), noise=StartNoise())
     ablation = Ablation(block, variant, "other")
     ablation.setup(Trainer(logger=False, callbacks=[ablation]), model, "test")
-    assert list(model.models()) == ["model", "other"]
+    assert list(model.named_models()) == ["model", "other"]
 
 
 def test_two_twins_of_one_name_and_scaled_losses_are_refused(sample: Path, tmp_path: Path) -> None:

@@ -50,7 +50,7 @@ def made(sample: Path, **changes: Any) -> tuple[FluidsNet, SPHDataModule]:
     torch.manual_seed(0)
     source = SPHDataModule(sample, voxel_size=0.25)
     model = FluidsNet(source.grid_shape, global_feature=NoGlobalFeature, **changes)
-    model.set_statistics(source.statistics, source.time_step)
+    model.model.set_statistics(source.statistics, source.time_step)
     return model, source
 
 
@@ -132,8 +132,8 @@ def test_truth_model_and_twin_are_drawn_at_each_time(
     fastest = np.linalg.norm(velocity[at], axis=2)
     assert named["speed_max"] == pytest.approx(np.quantile(fastest, 0.995), rel=1e-5)
     start = source.rollout_starts("test", [0], None, 1)[0].state
-    for row, of in enumerate(model.models().values(), start=1):
-        states = [start, *rollout(of.network, of.integrator, of.walls, start, last)]
+    for row, of in enumerate(model.named_models().values(), start=1):
+        states = [start, *rollout(of, start, last)]
         for panel, step in zip(panels[4 * row : 4 * row + 4], at, strict=True):
             assert panel.position == pytest.approx(states[step].position.numpy(), abs=1e-4)
     truth, mine, others = crops(path, 3, 4)

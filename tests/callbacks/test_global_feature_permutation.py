@@ -16,7 +16,7 @@ from fluidsnet.features import NoGlobalFeature
 
 
 def measure(model: FluidsNet, source: SPHDataModule, folder: Path) -> dict[str, float]:
-    model.set_statistics(source.statistics, source.time_step)
+    model.model.set_statistics(source.statistics, source.time_step)
     trainer = Trainer(
         default_root_dir=folder,
         devices=1,
@@ -44,7 +44,7 @@ def test_the_ratio_says_whether_the_vector_is_used(
     model = FluidsNet(source.grid_shape)
     if not used:
         with torch.no_grad():
-            model.network.head[0].weight[:, -model.network.global_feature.width :] = 0
+            model.model.network.head[0].weight[:, -model.model.network.global_feature.width :] = 0
     found = measure(model, source, tmp_path)
     own, ratio = (
         found["global_feature_permutation/velocity_mse/own"],
@@ -81,7 +81,7 @@ def test_the_foreign_vector_is_that_of_the_other_frame(
     with torch.no_grad():
         for row in range(4):
             own, other = dataset[row], dataset[_others(4)[row]]
-            network = model.network
+            network = model.model.network
             vector = network.global_feature(other.state, network.features(other.state))[:1]
             state = model(own.state, vector.expand(len(own.state), -1))
             errors.append((state.velocity - own.next_velocity[0]).double().square().mean())

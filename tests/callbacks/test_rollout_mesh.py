@@ -62,7 +62,7 @@ class Fast(Target):
 def rolled_out(sample: Path, folder: Path, mesh: RolloutMesh, **blocks: Any) -> EventAccumulator:
     source = SPHDataModule(sample, voxel_size=0.25, rollout_steps=4)
     model = FluidsNet(source.grid_shape, global_feature=NoGlobalFeature, **blocks)
-    model.set_statistics(source.statistics, source.time_step)
+    model.model.set_statistics(source.statistics, source.time_step)
     Trainer(
         accelerator="cpu",
         devices=1,

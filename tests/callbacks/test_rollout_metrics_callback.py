@@ -58,7 +58,7 @@ def scalars(folder: Path) -> EventAccumulator:
 
 def trained(source: SPHDataModule, **changes: Any) -> FluidsNet:
     model = FluidsNet(source.grid_shape, global_feature=NoGlobalFeature, **changes)
-    model.set_statistics(source.statistics, source.time_step)
+    model.model.set_statistics(source.statistics, source.time_step)
     return model
 
 
@@ -144,8 +144,7 @@ def test_the_test_leaves_a_table_a_figure_and_scalars(sample: Path, tmp_path: Pa
         states = []
         for at in some:
             start = source.rollout_starts("test", (at,))[0].state.to(model.device)
-            blocks = (model.eval().network, model.integrator, model.walls)
-            states.append(list(rollout(*blocks, start, step))[-1].position.cpu().numpy())
+            states.append(list(rollout(model.eval().model, start, step))[-1].position.cpu().numpy())
         off = [
             np.linalg.norm(state - position[at + step], axis=1).mean()
             for state, at in zip(states, some, strict=True)
@@ -295,8 +294,8 @@ def test_models_side_by_side_are_rolled_out_each(sample: Path, tmp_path: Path) -
     with (tmp_path / "run" / "rollout_metrics.csv").open() as file:
         table = {(row["predictor"], row["steps"]): row for row in csv.DictReader(file)}
     start = source.rollout_starts("test", [0], 5, 1)[0]
-    for name, of in model.models().items():
-        *_, state = rollout(of.network, of.integrator, of.walls, start.state, 5)
+    for name, of in model.named_models().items():
+        *_, state = rollout(of, start.state, 5)
         error = 1000 * (state.position - start.truth[5][0]).norm(dim=1).mean()
         row = table[name, "5"]
         assert float(row["position_error mm"]) == pytest.approx(float(error), rel=1e-4)

@@ -100,8 +100,8 @@ def test_any_model(tmp_path: Path) -> None:
     for path in sorted(MODELS.glob("*.yaml")):
         module = load_model(str(path), None, "CellList", 0.02)
         assert not module.training
-        assert type(module.network.neighbors).__name__ == "CellList"
-        assert isinstance(module.network, Network)
+        assert type(module.model.network.neighbors).__name__ == "CellList"
+        assert isinstance(module.model.network, Network)
     paper = load_model(None, None, "Auto", 0.02).network
     known = {name: value.shape for name, value in paper.state_dict().items()}
     written = load_model(str(MODELS / "paper.yaml"), None, "Auto", 0.02).network

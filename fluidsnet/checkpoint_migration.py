@@ -1,0 +1,47 @@
+"""Checkpoints of earlier versions, brought to the names of this one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fluidsnet.checkpoint import NOTE, PREFIX
+
+#: Arguments of `FluidsNet`, which are names of blocks too: old to new.
+RENAMED_ARGUMENTS = {"context": "global_feature", "cells": "grid_shape"}
+_OLD_CLASS, _NEW_CLASS = "NoContext", "NoGlobalFeature"
+_OLD_NOTE, _OLD_TWINS = "fluidsnet_blocks", "fluidsnet_twins"
+
+
+def migrate(checkpoint: dict[str, Any]) -> None:
+    """Rename the weights, notes and hyperparameters of an earlier version, in place.
+
+    There the module was the model itself, twins were attached to it, and the global feature
+    was called context.
+    """
+    if _OLD_NOTE not in checkpoint:
+        return
+    notes = {"model": checkpoint.pop(_OLD_NOTE), **checkpoint.pop(_OLD_TWINS, {})}
+    checkpoint[NOTE] = {model: renamed(note) for model, note in notes.items()}
+    checkpoint["hyper_parameters"] = renamed(checkpoint.get("hyper_parameters", {}))
+    checkpoint["state_dict"] = {
+        _weight(name): value for name, value in checkpoint["state_dict"].items()
+    }
+
+
+def renamed(settings: dict[str, Any]) -> dict[str, Any]:
+    """Return settings of `FluidsNet` with this version's names of arguments and classes."""
+    return {RENAMED_ARGUMENTS.get(name, name): _value(value) for name, value in settings.items()}
+
+
+def _value(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _value(inner) for name, inner in value.items()}
+    return value.replace(_OLD_CLASS, _NEW_CLASS) if isinstance(value, str) else value
+
+
+def _weight(name: str) -> str:
+    owner, rest = "model", name
+    if name.startswith("twins."):
+        _, owner, rest = name.split(".", 2)
+    rest = rest.replace("network.context.", "network.global_feature.", 1)
+    return f"{PREFIX}{owner}.{rest}" if rest.startswith(("network.", "time_step")) else name

@@ -1,0 +1,94 @@
+"""Load a trained model from the folder of a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+import yaml
+from jsonargparse import ArgumentParser
+
+from fluidsnet.checkpoint_migration import migrate, renamed
+from fluidsnet.errors import UserError
+from fluidsnet.features.voxel import GridShape
+from fluidsnet.model import Model
+from fluidsnet.module import FluidsNet
+
+# Arguments that only training needs.
+_TRAINING = ("optimizer", "schedule", "noise", "grid_shape")
+
+
+def load(run: str | Path, device: torch.device | str = "cpu") -> Model:
+    """Return the trained model of a run, in evaluation mode.
+
+    Args:
+        run: Folder of a run, such as runs/demo, with config.yaml and checkpoints/best.ckpt.
+        device: Device of the model's weights.
+
+    Raises:
+        UserError: A file is missing, or the checkpoint does not match the configuration.
+    """
+    folder = Path(run)
+    checkpoint = read_checkpoint(folder)
+    module = build(folder / "config.yaml", tuple(checkpoint["hyper_parameters"]["grid_shape"]))
+    module.on_load_checkpoint(checkpoint)
+    module.load_state_dict(checkpoint["state_dict"])
+    return module.model.eval().requires_grad_(False).to(device)
+
+
+def checkpoint_path(folder: Path) -> Path:
+    """Return the best checkpoint of a run, or the last where no validation chose a best.
+
+    Raises:
+        UserError: There is none.
+    """
+    for name in ("best.ckpt", "last.ckpt"):
+        path = folder / "checkpoints" / name
+        if path.exists():
+            return path
+    raise UserError(f"{folder} is not the folder of a run: {path} is missing.")
+
+
+def read_checkpoint(folder: Path) -> dict[str, Any]:
+    """Read the checkpoint of a run; weights and plain settings only, on the CPU.
+
+    Raises:
+        UserError: There is none.
+    """
+    # Nothing else is unpickled: a checkpoint may come from someone else.
+    path = checkpoint_path(folder)
+    checkpoint: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+    migrate(checkpoint)
+    return checkpoint
+
+
+def build(config: Path, grid_shape: GridShape) -> FluidsNet:
+    """Build an untrained module from the ``model:`` of a config file.
+
+    Args:
+        config: Such as configs/model/field.yaml or a run's config.yaml.
+        grid_shape: Number of cells of the background grid along x, y and z.
+
+    Raises:
+        UserError: The file cannot be read or describes no FluidsNet.
+    """
+    try:
+        described: dict[str, Any] = dict(yaml.safe_load(config.read_text())["model"])
+    except (OSError, TypeError, KeyError, ValueError, yaml.YAMLError) as error:
+        raise UserError(
+            f"{config} holds no `model:`; name a file such as configs/model/paper.yaml."
+        ) from error
+    settings = renamed(dict(described.get("init_args") or {}))
+    for name in _TRAINING:
+        settings.pop(name, None)
+    parser = ArgumentParser(exit_on_error=False)
+    parser.add_subclass_arguments(FluidsNet, "model")
+    try:
+        options = parser.parse_object(
+            {"model": {**described, "init_args": {**settings, "grid_shape": list(grid_shape)}}}
+        )
+        module: FluidsNet = parser.instantiate(options).model
+    except (ValueError, TypeError) as error:
+        raise UserError(f"{config} does not describe a FluidsNet: {error}") from error
+    return module
