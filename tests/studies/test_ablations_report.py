@@ -19,10 +19,9 @@ from scipy.stats import ttest_1samp
 from fluidsnet.errors import UserError
 from fluidsnet.main import main
 from fluidsnet.reporting.results import results_folders
-from fluidsnet.studies.ablations.claims import energy_verdict
 from fluidsnet.studies.ablations.comparison import Ratio, digits
 from fluidsnet.studies.ablations.figures import energy_figure, target_figure, trivial_mse
-from fluidsnet.studies.ablations.report import write_report
+from fluidsnet.studies.ablations.report import energy_verdict, write_report
 from fluidsnet.studies.ablations.results import TrainedRun, read_groups
 from fluidsnet.studies.ablations.tables import (
     describe_change,
@@ -372,7 +371,7 @@ def test_final_change(values: list[float], steps: int, description: str) -> None
 
 
 def test_the_worst_of_the_seeds() -> None:
-    few, not_finite, flat, falls, rises = None, NAN, 0.01, -0.2, 0.1
+    few, not_finite, flat, falls, rises = INF, NAN, 0.01, -0.2, 0.1
     assert worst_change([flat, rises, falls]) is falls
     assert worst_change([falls, not_finite]) is not_finite
     assert worst_change([not_finite, few, falls]) is few

@@ -20,7 +20,7 @@ from fluidsnet.studies.ablations.report import write_report
 from fluidsnet.studies.ablations.results import TrainedRun
 from fluidsnet.studies.ablations.training import STAGES, Training
 from fluidsnet.studies.machine import cores
-from fluidsnet.studies.parser import Parser, study_parser
+from fluidsnet.studies.parser import study_parser
 
 #: Configs in the order of composition; the scene's data config comes between the two.
 _BEFORE_DATA = ("trainer.yaml", "model/paper.yaml")
@@ -28,6 +28,15 @@ _AFTER_DATA = ("study/ablations.yaml", "ablation/target.yaml", "ablation/global_
 #: Options of `fluidsnet fit` without a dot: sections, files, and the seed.
 _WHOLE = re.compile(r"-[a-z]|--\w+(=|$)")
 _ROOT = re.compile(r"--data\.(root|init_args|init_args\.root)(=|$)")
+
+_DESCRIPTION = """\
+Train the paper's network beside two twins, one that predicts the acceleration and one without the
+global feature, on several scenes, time steps and seeds, and check the paper's claims. Missing data
+are generated. An interrupted study resumes with the same command. The whole study takes about two
+hours on two cores; a first try:
+fluidsnet ablations --fit '[--trainer.max_steps=100]' --output runs/try \
+--runs '[{"scene": "dam_break_small", "strides": [8], "seeds": [0]}]'
+"""
 
 
 @dataclass(frozen=True)
@@ -107,11 +116,10 @@ def ablations_command(arguments: list[str]) -> None:
     Raises:
         UserError: An option is invalid, or trainings failed; the others are finished first.
     """
-    parser = _parser()
+    parser = study_parser("ablations", _DESCRIPTION, AblationsOptions)
     values = vars(parser.instantiate(parser.parse_args(arguments)))
-    options = AblationsOptions(
-        **{name: value for name, value in values.items() if name != "config"}
-    )
+    values.pop("config")
+    options = AblationsOptions(**values)
     trainings = _trainings(options)
     for scene in dict.fromkeys(run.scene for run in trainings):
         _generate(Path(options.configs), scene)
@@ -119,21 +127,6 @@ def ablations_command(arguments: list[str]) -> None:
     print(f"\n{_report(trainings, options)}\nThis report is in {options.output}/ablations.md.")
     if failures:
         raise UserError("\n".join([*failures, "Fix this; the same command then does the rest."]))
-
-
-def _parser() -> Parser:
-    return study_parser(
-        "ablations",
-        (
-            "Train the paper's network beside two twins, one that predicts the acceleration and "
-            "one without the global feature, on several scenes, time steps and seeds, and check "
-            "the paper's claims. Missing data are generated. An interrupted study resumes with the "
-            "same command. The whole study takes about two hours on two cores; a first try: "
-            "fluidsnet ablations --fit '[--trainer.max_steps=100]' --runs "
-            '\'[{"scene": "dam_break_small", "strides": [8], "seeds": [0]}]\' --output runs/try'
-        ),
-        AblationsOptions,
-    )
 
 
 def _trainings(options: AblationsOptions) -> dict[TrainedRun, Training]:

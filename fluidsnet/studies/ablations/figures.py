@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fluidsnet.reporting.rollout_curves import COLORS, TWIN_COLORS
-from fluidsnet.studies.ablations.results import ACCELERATION, MODEL, MOTION, WITHOUT, Group
+from fluidsnet.studies.ablations.results import ACCELERATION, ENERGY, MODEL, MOTION, WITHOUT, Group
 
 _COLORS = {
     MODEL: COLORS["model"],
@@ -115,17 +115,18 @@ def _draw_training(axes: Axes, group: Group, labels: Mapping[str, str]) -> list[
 
 
 def _draw_energy(axes: Axes, group: Group, labels: Mapping[str, str]) -> list[str]:
-    table = group.rows(MOTION)
-    table = table[table["metric"] == "kinetic_energy J/kg"]
+    columns = ["time s", "seed", "predictor", ENERGY]
+    table = group.tables[MOTION].reindex(columns=columns)
     greatest: dict[str, float] = {}
     notes = []
     for name, label in labels.items():
-        rows = table[table["predictor"] == name]
-        curves = rows.pivot_table("value", "time s", "seed", aggfunc="first")
+        rows = table[table["predictor"] == name].drop(columns="predictor")
+        rows = rows.apply(pd.to_numeric, errors="coerce").dropna()
+        curves = rows.pivot_table(ENERGY, "time s", "seed", aggfunc="first")
         _plot(axes, curves, name, label, marker="o")
-        finite = np.isfinite(rows["value"])
-        greatest[name] = rows["value"][finite].max() if finite.any() else 0.0
-        if not finite.all():
+        finite = rows[ENERGY][np.isfinite(rows[ENERGY])]
+        greatest[name] = finite.max() if len(finite) else 0.0
+        if len(finite) < len(rows):
             notes.append(f"{label}: not finite in the end")
     limit = _ENERGIES * greatest["truth"] or math.inf
     notes += [

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import pandas as pd
 import yaml
 
 from fluidsnet.errors import UserError
 from fluidsnet.report.events import RATE, TRAINED, Curve, read_history
+from fluidsnet.report.tables import read_table
 from fluidsnet.reporting.results import results_folders
 
 #: The paper's network and its twins, and their labels in the report.
@@ -27,9 +28,9 @@ ONE_STEP, PERMUTATION = "one_step", "global_feature_permutation"
 #: Tables of rollouts from the first frame, and from a frame in which the fluid is fast.
 REST, MOTION = "rollout_metrics", "rollout_metrics_in_motion"
 STARTS = {REST: "from rest", MOTION: "in motion"}
+ENERGY = "kinetic_energy J/kg"
 #: Time at which rollouts are reported beside their end, s.
 _MIDDLE = 0.25
-_KEYS = ["table", "predictor", "steps", "time s"]
 
 
 class TrainedRun(NamedTuple):
@@ -53,13 +54,12 @@ class Results:
     """Results of one run.
 
     Attributes:
-        measured: One row per number in its tables: scene, stride, seed, table, predictor, steps,
-            time s, metric, value.
+        tables: Results tables by name, with the columns scene, stride, seed, predictor and steps.
         curves: Logged scalars by tag.
         problems: Sentences on files that are missing or damaged.
     """
 
-    measured: pd.DataFrame
+    tables: Mapping[str, pd.DataFrame]
     curves: Mapping[str, Curve]
     problems: list[str]
 
@@ -108,35 +108,31 @@ class Group:
         stride = f" (stride {self.stride})" if self.moments(REST) else ""
         return f"{self.scene}, {self.step}{stride}, {self.seeds}"
 
-    def rows(self, table: str) -> pd.DataFrame:
-        """Return the rows of `Results.measured` of one table, of all runs."""
-        return self._measured[self._measured["table"] == table]
+    @cached_property
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """`Results.tables` of all runs, concatenated."""
+        return {
+            name: pd.concat([results.tables[name] for results in self.runs], ignore_index=True)
+            for name in (ONE_STEP, *STARTS, PERMUTATION)
+        }
 
     def values(
         self, predictor: str, metric: str, table: str = ONE_STEP, steps: int = 1
     ) -> dict[int, float]:
         """Return a number by seed, for the seeds that have it."""
-        return self._values.get((table, predictor, steps, metric), {})
+        rows = self.tables[table]
+        rows = rows[(rows["predictor"] == predictor) & (rows["steps"] == steps)]
+        values = zip(rows["seed"], rows.get(metric, ()), strict=False)
+        # An empty cell was not measured.
+        return {seed: float(value) for seed, value in values if not isinstance(value, str)}
 
     def moments(self, start: str) -> list[Moment]:
         """Return the moment nearest to 0.25 s and the last one, of a table of rollouts."""
-        rows = self.rows(start)
+        rows = self.tables[start]
         times = dict(zip(rows["steps"], rows["time s"], strict=True))
-        moments = [Moment(steps, time) for steps, time in sorted(times.items())]
+        moments = [Moment(int(steps), float(time)) for steps, time in sorted(times.items())]
         before = sorted(moments[:-1], key=lambda moment: abs(moment.time - _MIDDLE))
         return [*before[:1], *moments[-1:]]
-
-    @cached_property
-    def _measured(self) -> pd.DataFrame:
-        return pd.concat([results.measured for results in self.runs], ignore_index=True)
-
-    @cached_property
-    def _values(self) -> dict[tuple[Any, ...], dict[int, float]]:
-        values: dict[tuple[Any, ...], dict[int, float]] = {}
-        columns = ["table", "predictor", "steps", "metric", "seed", "value"]
-        for *key, seed, value in self._measured[columns].itertuples(index=False):
-            values.setdefault(tuple(key), {})[seed] = value
-        return values
 
 
 def read_groups(runs: Sequence[TrainedRun]) -> list[Group]:
@@ -153,38 +149,30 @@ def _read(run: TrainedRun) -> Results:
     if not run.folder.is_dir():
         raise UserError(f"{run.folder} is not the folder of a run: there is no such folder.")
     history = read_history(run.folder)
-    problems, tables = [*history.unread], [pd.DataFrame(columns=[*_KEYS, "metric", "value"])]
+    problems, tables = [*history.unread], {}
     folder = _results_folder(run.folder)
     for name in (ONE_STEP, *STARTS, PERMUTATION):
+        table = pd.DataFrame(columns=["predictor", "steps", "time s"])
         try:
-            table = pd.read_csv(folder / f"{name}.csv", dtype=str, na_filter=False)
+            table = read_table(folder / f"{name}.csv")
         except FileNotFoundError:
             problems.append(f"there is no {name}.csv.")
-            continue
         except (OSError, ValueError) as error:
             problems.append(f"{name}.csv cannot be read: {error}.")
-            continue
-        table = table.rename(columns={table.columns[0]: "predictor"}).assign(table=name)
+        table = table.rename(columns={table.columns[0]: "predictor"})
         if name in STARTS:
-            times = table.reindex(columns=["steps", "time s"])
-            times = times.apply(pd.to_numeric, errors="coerce")
-            valid = (times > 0).all(axis=1) & (times["steps"] % 1 == 0)
+            times = table.reindex(columns=["steps", "time s"]).apply(pd.to_numeric, errors="coerce")
+            valid = (times > 0).all(axis="columns") & (times["steps"] % 1 == 0)
             table = table.assign(**times)[valid]
             if not valid.all():
                 problems.append(f"{name}.csv has rows without steps or time; they are left out.")
         else:
-            table = table.assign(steps=1, **{"time s": 0.0})
-        long = table.melt(_KEYS, var_name="metric", value_name="value")
-        # An empty cell was not measured.
-        long = long[long["value"].map(_is_number)]
-        tables.append(long.assign(value=long["value"].map(float)))
+            table = table.assign(steps=1)
+        tables[name] = table.assign(scene=run.scene, stride=run.stride, seed=run.seed)
     if f"ablation/velocity_mse/{MODEL}" not in history.curves:
         problems.append("no validation was logged.")
-    measured = pd.concat(tables).drop_duplicates([*_KEYS, "metric"])
-    measured = measured.astype({"steps": int, "time s": float, "value": float})
-    measured = measured.assign(scene=run.scene, stride=run.stride, seed=run.seed)
     place = f"{run.scene}, stride {run.stride}, seed {run.seed}"
-    return Results(measured, history.curves, [f"{place}: {problem}" for problem in problems])
+    return Results(tables, history.curves, [f"{place}: {problem}" for problem in problems])
 
 
 def _results_folder(run: Path) -> Path:
@@ -195,11 +183,3 @@ def _results_folder(run: Path) -> Path:
         name = Path(config["data"]["init_args"]["root"]).name
         folders = [folder for folder in folders if folder.name == name] or folders
     return folders[-1] if folders else run
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from statistics import fmean, median, stdev
 
 import pandas as pd
 
+from fluidsnet.report.tables import NONE, near, shown
 from fluidsnet.reporting.table import Cell, markdown
 from fluidsnet.studies.ablations.comparison import Comparison, digits
 from fluidsnet.studies.ablations.results import (
     ACCELERATION,
+    ENERGY,
     LABELS,
     MODEL,
     ONE_STEP,
@@ -24,14 +26,12 @@ from fluidsnet.studies.ablations.results import (
 
 #: Relative change of a validation error below which a curve is flat.
 FLAT = 0.05
-_NONE = "–"
 _ONE_STEP_METRICS = ("skill", "velocity_mse m²/s²", "position_error_1 mm")
-_ENERGY = "kinetic_energy J/kg"
 #: Columns of the runs' tables of rollouts, and their names in the study's tables.
 _ROLLOUT_METRICS = {
     "position_error mm": "position_error mm",
     "chamfer mm": "chamfer mm",
-    _ENERGY: _ENERGY,
+    ENERGY: ENERGY,
     "kinetic_energy %": "kinetic_energy error %",
     "density_error %": "density_error %",
     "escaped %": "escaped %",
@@ -51,15 +51,15 @@ def spread(values: Iterable[float], seeds: int) -> str:
     """
     values = list(values)
     if not values:
-        return _NONE
+        return NONE
     count = "" if len(values) == seeds else f" ({len(values)} of {seeds} seeds)"
     infinite = [value for value in values if not math.isfinite(value)]
     if infinite and len(values) > 1:
         return f"{infinite[0]:g} in {len(infinite)} of {len(values)} seeds{count}"
     mean = fmean(values)
-    # Equal up to rounding, as of a predictor without weights.
-    if all(value == mean or math.isclose(value, values[0], rel_tol=1e-4) for value in values):
-        return f"{mean:,.0f}{count}" if 1e4 <= abs(mean) < 1e9 else f"{mean:.4g}{count}"
+    # Predictors without weights give equal values up to rounding.
+    if all(near(value, values[0]) for value in values):
+        return f"{shown(mean)}{count}"
     # Both to the second digit of the deviation.
     deviation = stdev(values)
     place = 1 - math.floor(math.log10(deviation))
@@ -75,7 +75,7 @@ def one_step_table(group: Group) -> str:
     for name, label in _ONE_STEP_ROWS.items():
         values = [group.values(name, metric) for metric in _ONE_STEP_METRICS]
         if any(values):
-            rows.append([label, *(spread(it.values(), len(group.runs)) for it in values)])
+            rows.append([label, *(spread(cell.values(), len(group.runs)) for cell in values)])
     return markdown(("one step ahead", *_ONE_STEP_METRICS), rows) if rows else "No test was run.\n"
 
 
@@ -87,16 +87,16 @@ def rollout_table(group: Group, start: str) -> str:
         start: Table of the rollouts.
     """
     header = ["time s", "steps", "rollout", *_ROLLOUT_METRICS.values()]
-    place = header.index(_ENERGY) + 1
+    place = header.index(ENERGY) + 1
     header.insert(place, "truth's J/kg")
     rows: list[list[Cell]] = []
     for steps, time in group.moments(start):
-        truth = group.values("truth", _ENERGY, start, steps)
+        truth = group.values("truth", ENERGY, start, steps)
         for name, label in _ROLLOUT_ROWS.items():
             values = [group.values(name, metric, start, steps) for metric in _ROLLOUT_METRICS]
             if any(values):
                 values.insert(place - 3, truth)
-                cells = [spread(it.values(), len(group.runs)) for it in values]
+                cells = [spread(cell.values(), len(group.runs)) for cell in values]
                 rows.append([time, steps, label, *cells])
     return markdown(header, rows) if rows else "No rollouts were measured.\n"
 
@@ -108,11 +108,13 @@ def comparison_table(comparisons: Sequence[Comparison]) -> str:
         "each seed", "decided",
     )  # fmt: skip
     rows: list[list[Cell]] = []
-    for it in comparisons:
-        place = (LABELS[it.twin], it.group.scene, it.group.step, it.metric, len(it.ratio.each))
-        interval = map(digits, it.ratio.interval) if it.ratio.interval else (_NONE, _NONE)
-        each = ", ".join(map(digits, it.ratio.each))
-        rows.append([*place, digits(it.ratio.mean), *interval, each, it.decision])
+    for comparison in comparisons:
+        group, ratio = comparison.group, comparison.ratio
+        place = (LABELS[comparison.twin], group.scene, group.step, comparison.metric)
+        interval = map(digits, ratio.interval) if ratio.interval else (NONE, NONE)
+        each = ", ".join(map(digits, ratio.each))
+        numbers = (len(ratio.each), digits(ratio.mean), *interval, each)
+        rows.append([*place, *numbers, comparison.decision])
     return markdown(header, rows) if rows else "There is nothing to compare.\n"
 
 
@@ -123,25 +125,23 @@ def training_table(groups: Sequence[Group]) -> str:
         steps = min(run.training_steps for run in group.runs)
         validations = min(len(run.curve("velocity_mse", MODEL)) for run in group.runs)
         rates = dict.fromkeys(run.learning_rates for run in group.runs if run.learning_rates)
-        rates_text = ", ".join(f"{first:.2g} to {last:.2g}" for first, last in rates) or _NONE
-        ends = [
-            describe_change(
-                worst_change(
-                    final_change(run.curve("velocity_mse", name), run.training_steps)
-                    for run in group.runs
-                )
-            )
-            for name in LABELS
-        ]
+        rates_text = ", ".join(f"{first:.2g} to {last:.2g}" for first, last in rates) or NONE
+        ends = []
+        for name in LABELS:
+            changes = [
+                final_change(run.curve("velocity_mse", name), run.training_steps)
+                for run in group.runs
+            ]
+            ends.append(describe_change(worst_change(changes)))
         rows.append([group.scene, group.step, steps, rates_text, validations, *ends])
     header = ("scene", "step", "training steps", "learning rate", "validations")
     return markdown((*header, *LABELS.values()), rows)
 
 
-def final_change(curve: pd.Series[float], steps: int) -> float | None:
+def final_change(curve: pd.Series[float], steps: int) -> float:
     """Return the relative change of a curve's mean from the 7th to the last eighth of training.
 
-    NaN where a mean is not finite; None where an eighth has no point.
+    NaN where a mean is not finite; infinite where an eighth has no point.
 
     Args:
         curve: Values by training step; the first step is 0.
@@ -152,31 +152,23 @@ def final_change(curve: pd.Series[float], steps: int) -> float | None:
     last = curve[eighths > 7 * steps]
     before = curve[(eighths > 6 * steps) & (eighths <= 7 * steps)]
     if last.empty or before.empty:
-        return None
+        return math.inf
     new, old = float(last.mean(skipna=False)), float(before.mean(skipna=False))
     return new / old - 1 if math.isfinite(new) and math.isfinite(old) and old > 0 else math.nan
 
 
-def describe_change(change: float | None) -> str:
+def describe_change(change: float) -> str:
     """Describe a `final_change` in words."""
-    if change is None:
-        return "too few validations"
-    if math.isnan(change):
-        return "not finite"
+    if not math.isfinite(change):
+        return "not finite" if math.isnan(change) else "too few validations"
     if abs(change) < FLAT:
         return "flat"
     return f"{'falls' if change < 0 else 'rises'} {100 * abs(change):.2g} %"
 
 
-def worst_change(changes: Iterable[float | None]) -> float | None:
-    """Return the largest change; None and NaN, in this order, come before all others."""
-
-    def rank(change: float | None) -> tuple[int, float]:
-        if change is None:
-            return 2, 0.0
-        return (1, 0.0) if math.isnan(change) else (0, abs(change))
-
-    return max(changes, key=rank)
+def worst_change(changes: Iterable[float]) -> float:
+    """Return the largest change; infinity and then NaN come before all others."""
+    return max(changes, key=lambda change: (math.isinf(change), math.isnan(change), abs(change)))
 
 
 def permutation_table(groups: Sequence[Group]) -> str:
@@ -215,45 +207,36 @@ def write_csv_files(
     folder: Path, groups: Sequence[Group], comparisons: Sequence[Comparison]
 ) -> list[str]:
     """Write the tables with all digits and a row per seed; return the files' names."""
-    one_step = pd.concat([group.rows(ONE_STEP) for group in groups])
+    run = ["scene", "stride", "seed"]
+    one_step = pd.concat([group.tables[ONE_STEP] for group in groups])
     rollouts = pd.concat(
         [
             rows[rows["steps"].isin([moment.steps for moment in group.moments(start)])]
             for group in groups
-            for start in STARTS
-            for rows in [group.rows(start)]
+            for start, label in STARTS.items()
+            for rows in [group.tables[start].assign(start=label)]
         ]
+    )
+    one_step = one_step[one_step["predictor"].isin(_ONE_STEP_ROWS)]
+    rollouts = rollouts[rollouts["predictor"].isin(_ROLLOUT_ROWS)]
+    rollouts = rollouts.reindex(
+        columns=[*run, "start", "predictor", "steps", "time s", *_ROLLOUT_METRICS]
     )
     header = [
         "twin", "scene", "stride", "figure", "seeds", "twin / model", "from", "to", "each seed",
         "decided",
     ]  # fmt: skip
     rows = [
-        (it.twin, it.group.scene, it.group.stride, it.metric, len(it.ratio.each), it.ratio.mean,
-         *(it.ratio.interval or ("", "")), " ".join(map(repr, it.ratio.each)), it.decision)
-        for it in comparisons
+        (row.twin, row.group.scene, row.group.stride, row.metric, len(row.ratio.each),
+         row.ratio.mean, *(row.ratio.interval or ("", "")),
+         " ".join(map(repr, row.ratio.each)), row.decision)
+        for row in comparisons
     ]  # fmt: skip
-    run = ["scene", "stride", "seed"]
-    metrics = dict(zip(_ONE_STEP_METRICS, _ONE_STEP_METRICS, strict=True))
     files = {
         "ablations.csv": pd.DataFrame(rows, columns=header),
-        "ablations_one_step.csv": _wide(one_step, [*run, "predictor"], metrics),
-        "ablations_rollouts.csv": _wide(
-            rollouts, [*run, "start", "predictor", "steps", "time s"], _ROLLOUT_METRICS
-        ),
+        "ablations_one_step.csv": one_step.reindex(columns=[*run, "predictor", *_ONE_STEP_METRICS]),
+        "ablations_rollouts.csv": rollouts.rename(columns=_ROLLOUT_METRICS),
     }
     for name, table in files.items():
         table.to_csv(folder / name, index=False)
     return list(files)
-
-
-def _wide(measured: pd.DataFrame, keys: Sequence[str], metrics: Mapping[str, str]) -> pd.DataFrame:
-    """Return measured numbers with a column for each metric, renamed."""
-    rows = measured[measured["metric"].isin(metrics) & measured["predictor"].isin(_ROLLOUT_ROWS)]
-    rows = rows.assign(
-        start=rows["table"].map(STARTS),
-        predictor=pd.Categorical(rows["predictor"], [*_ROLLOUT_ROWS]),
-        value=rows["value"].map(repr),
-    )
-    table = rows.pivot(index=[*keys], columns="metric", values="value")
-    return table.reindex(columns=[*metrics]).rename(columns=dict(metrics)).reset_index()
