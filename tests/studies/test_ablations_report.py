@@ -200,7 +200,7 @@ def test_twins_are_paired_by_seed_and_two_seeds_decide_nothing(
                 ) in text
 
 
-def test_rollouts_stand_at_the_same_times(runs: list[TrainedRun], tmp_path: Path) -> None:
+def test_rollouts_are_reported_at_the_same_times(runs: list[TrainedRun], tmp_path: Path) -> None:
     text = write_report(tmp_path, runs, 3)
     part = text[text.index("## Rollouts from rest") : text.index("## Rollouts in motion")]
     assert "the times of the" not in text
@@ -270,7 +270,7 @@ def test_the_interval_is_that_of_scipys_t_test(each: tuple[float, ...]) -> None:
         ((1e300, 1e-300, 1e300, 1e-300), 1.0, "1.00 [0.00, inf]"),
     ],
 )
-def test_what_has_no_interval(each: tuple[float, ...], mean: float, text: str) -> None:
+def test_ratios_without_an_interval(each: tuple[float, ...], mean: float, text: str) -> None:
     ratio = Ratio(each)
     assert ratio.mean == pytest.approx(mean, nan_ok=True)
     assert str(ratio) == text and ratio.side() == 0
@@ -283,7 +283,7 @@ def test_three_digits_and_no_exponent(value: float, text: str) -> None:
     assert digits(value) == text
 
 
-def test_ratios_of_what_is_not_finite() -> None:
+def test_ratios_of_values_that_are_not_finite() -> None:
     pairs = [(1.0, 2.0), (INF, 2.0), (INF, INF), (1.0, INF), (1.0, 0.0), (0.0, 0.0), (0.0, 1.0)]
     expected = (0.5, INF, NAN, 0.0, INF, NAN, 0.0)
     assert Ratio.of(pairs).each == pytest.approx(expected, nan_ok=True)
@@ -311,7 +311,7 @@ def around(value: float) -> Ratio:
         (Ratio((1.0, 1.1, INF)), Ratio((1.0, 1.1, INF)), "not decided"),
     ],
 )
-def test_whether_the_field_goes_to_zero(share: Ratio, relative: Ratio, verdict: str) -> None:
+def test_energy_verdict(share: Ratio, relative: Ratio, verdict: str) -> None:
     assert energy_verdict(share, relative) == verdict
 
 
@@ -330,7 +330,7 @@ def test_energies_at_both_times(runs: list[TrainedRun], tmp_path: Path) -> None:
         ) in text
 
 
-def test_all_below_zero_is_said(copy: Copy, tmp_path: Path) -> None:
+def test_negative_skill_of_all_models_is_reported(copy: Copy, tmp_path: Path) -> None:
     made = copy(2)
     for run in made:
         for predictor in ("model", "acceleration", "no global feature"):
@@ -377,7 +377,7 @@ def test_the_worst_of_the_seeds() -> None:
     assert worst_change([not_finite, few, falls]) is few
 
 
-def test_how_long_was_trained(runs: list[TrainedRun], tmp_path: Path) -> None:
+def test_length_of_training(runs: list[TrainedRun], tmp_path: Path) -> None:
     part = write_report(tmp_path, runs, 3).partition("## Was training long enough?")[2]
     cells = row(part, "dam", "20 ms a step")
     # The schedule of `paper.yaml` multiplies the rate by 0.05 halfway.
@@ -435,7 +435,7 @@ def test_a_rollout_that_blew_up_is_infinite(copy: Copy, tmp_path: Path) -> None:
     assert axes.get_ylim() == pytest.approx((0, 1.08 * 3 * truth))
 
 
-def test_what_is_missing_is_said(copy: Copy, tmp_path: Path) -> None:
+def test_missing_files_are_reported(copy: Copy, tmp_path: Path) -> None:
     made = copy(2)
     path = "global_feature_permutation.csv"
     ratio = number(
@@ -484,6 +484,17 @@ def test_rows_of_a_damaged_table_are_left_out(
     assert row(rest, "0.1", "5", "acceleration target") and row(rest, "0.8", "40", "truth")
 
 
+def test_results_on_other_data_are_not_read(copy: Copy, tmp_path: Path) -> None:
+    (run,) = copy(1)
+    text = write_report(tmp_path / "alone", [run], 1)
+    folder = results(run)
+    for name in ("a_basin", "z_pool"):
+        other = run.folder / "results" / name
+        shutil.copytree(folder, other)
+        change(other / "one_step.csv", MSE, 1e3)
+    assert write_report(tmp_path / "beside", [run], 1) == text
+
+
 def test_no_run_and_no_folder(tmp_path: Path) -> None:
     assert write_report(tmp_path, [], 3) == "# Ablations\n\n**0 of 3 runs are finished.**\n"
     assert [path.name for path in tmp_path.iterdir()] == ["ablations.md"]
@@ -491,7 +502,7 @@ def test_no_run_and_no_folder(tmp_path: Path) -> None:
         write_report(tmp_path, [TrainedRun("dam", 1, 0, tmp_path / "nowhere")], 3)
 
 
-def test_the_rule_for_times_that_do_not_match(copy: Copy, tmp_path: Path) -> None:
+def test_times_that_do_not_match_are_reported(copy: Copy, tmp_path: Path) -> None:
     first, second = copy(2)
     path = results(second) / "rollout_metrics.csv"
     change(path, "time s", 0.25, steps="10")

@@ -178,8 +178,8 @@ def _read(run: TrainedRun) -> Results:
 def _results_folder(run: Path) -> Path:
     """Return the folder of the results on the data that the run was trained on."""
     folders = [*results_folders(run)]
-    if len(folders) > 1:
-        config = yaml.safe_load((run / "config.yaml").read_text())
-        name = Path(config["data"]["init_args"]["root"]).name
-        folders = [folder for folder in folders if folder.name == name] or folders
-    return folders[-1] if folders else run
+    if len(folders) < 2:
+        return folders[0] if folders else run
+    config = yaml.safe_load((run / "config.yaml").read_text())
+    name = Path(config["data"]["init_args"]["root"]).name
+    return next((folder for folder in folders if folder.name == name), folders[0])
