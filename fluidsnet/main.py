@@ -97,7 +97,7 @@ def _inspect(arguments: list[str]) -> None:
 
 
 def _speed(arguments: list[str]) -> None:
-    from fluidsnet.studies.speed import speed_command
+    from fluidsnet.studies.speed.command import speed_command
 
     speed_command(arguments[1:])
 

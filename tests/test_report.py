@@ -14,6 +14,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import h5py
 import lightning
 import pytest
 import torch
@@ -28,6 +29,7 @@ from fluidsnet.report.run import names, read_runs
 from fluidsnet.report.settings import changed, differing, flat, shipped
 from fluidsnet.report.tables import frame, read_table, shown, side_by_side
 from fluidsnet.reporting.results import DATA_FILE, RESULTS, results_folders
+from fluidsnet.reporting.table import write_table
 
 ROOT = Path(__file__).parents[1]
 CONFIGS = ROOT / "configs"
@@ -120,12 +122,14 @@ def identity(root: Path) -> dict[str, Any]:
     digest = hashlib.sha256((root / "test.h5").read_bytes()).hexdigest()
     return {
         "root": str(root), "file": "test.h5", "sha256": digest, "stride": 1, "time_step": 0.02,
-        "frame_range": None, "sample_every": 1, "simulations": 1, "frames": 30,
+        "frame_range": [0, None], "sample_every": 1, "simulations": 1, "frames": 41,
     }  # fmt: skip
 
 
 def into_results_folder(run: Path) -> None:
     """Moves tables and pictures from a run's own folder to where they belong."""
+    if (run / RESULTS).exists():
+        return
     folder = run / RESULTS / SAMPLE.name
     folder.mkdir(parents=True)
     (folder / DATA_FILE).write_text(json.dumps(identity(SAMPLE)))
@@ -287,12 +291,11 @@ def test_values_are_those_that_tensorboard_reads(runs: Path) -> None:
     for path in runs.glob("*/events*"):
         events = EventAccumulator(str(path), size_guidance={"scalars": 0})
         events.Reload()
-        file = read_event_file(path)
-        assert file.flaw == ""
-        assert list(file.scalars) == events.Tags()["scalars"]
-        for tag, scalars in file.scalars.items():
-            expected = [(event.step, event.value, event.wall_time) for event in events.Scalars(tag)]
-            assert scalars == expected
+        scalars, flaw = read_event_file(path)
+        assert flaw == ""
+        assert list(scalars) == events.Tags()["scalars"]
+        for tag, values in scalars.items():
+            assert values == events.Scalars(tag)
 
 
 def test_a_byte_that_is_not_as_written_is_found_wherever_it_is(one: Path) -> None:
@@ -324,10 +327,8 @@ def test_a_byte_that_is_not_as_written_is_found_wherever_it_is(one: Path) -> Non
 def test_a_file_that_ends_within_a_record_is_told_from_a_damaged_one(left: int, one: Path) -> None:
     path = min(one.glob("events*"))
     path.write_bytes(path.read_bytes()[:left])
-    assert read_event_file(path).flaw == (
-        f"{path.name} ends within a record, as after its process was killed: no value precedes "
-        "that."
-    )
+    flaw = "ends within a record, as after its process was killed: no value precedes that."
+    assert read_event_file(path) == ({}, f"{path.name} {flaw}")
 
 
 def test_settings_are_compared_with_what_is_shipped() -> None:
@@ -595,6 +596,90 @@ def test_further_rollouts_stand_as_the_first_do(runs: Path, one: Path, tmp_path:
     report(one, other_run, output=tmp_path / "both")
     header = rows(tmp_path / "both" / f"rollout_metrics_in_motion_{after}.csv")[0]
     assert {"model, one", "net, other"} <= set(header)
+
+
+def test_results_on_each_data_set_stand_apart(runs: Path, one: Path, tmp_path: Path) -> None:
+    wave = Path(shutil.copytree(SAMPLE, tmp_path / "wave"))
+    with h5py.File(wave / "test.h5", "r+") as file:
+        file.attrs["viscosity"] = 0.5
+    folder = Path(shutil.copytree(results(one), one / RESULTS / "wave"))
+    (folder / DATA_FILE).write_text(json.dumps(identity(wave)))
+    header, *cells = rows(folder / "one_step.csv")
+    write_table(folder / "one_step", header, [[row[0], 7.5, *row[2:]] for row in cells])
+    digests = [identity(root)["sha256"][:12] for root in (SAMPLE, wave)]
+    assert digests[0] != digests[1]
+
+    page = report(one, output=tmp_path / "single")
+    for section in ("One step ahead", "Rollouts", "Pictures"):
+        titles = [f"{section}: dam_break", f"{section}: wave"]
+        # Links first, then headings.
+        assert [it for it in page.words if it.startswith(f"{section}: ")] == 2 * titles
+    for root, digest in zip((SAMPLE, wave), digests, strict=True):
+        measured = f"Measured on {root / 'test.h5'} (sha256 {digest}): "
+        settings = "stride 1, simulations 1, frames 41, time step 20 ms."
+        assert measured + settings in page.words
+        assert measured + settings in (tmp_path / "single" / "report.md").read_text()
+    assert f"one was trained on other data: {SAMPLE}." in page.words
+    assert rows(tmp_path / "single" / "one_step_dam_break.csv") == rows(
+        one / RESULTS / "dam_break" / "one_step.csv"
+    )
+    assert rows(tmp_path / "single" / "one_step_wave.csv") == rows(folder / "one_step.csv")
+    glance = {row[0]: row[1] for row in rows(tmp_path / "single" / "glance.csv")}
+    assert glance["test: skill, wave"] == "7.5" != glance["test: skill, dam_break"]
+
+    # Beside a run with results on the first data only, these alone are set side by side.
+    page = report(one, runs / "two", output=tmp_path / "several")
+    header = rows(tmp_path / "several" / "one_step_dam_break.csv")[0]
+    assert {"skill, one", "skill, two"} <= {*header}
+    assert rows(tmp_path / "several" / "one_step_wave.csv")[0][1] == "skill"
+    assert f"two has no results on these data, but on {SAMPLE / 'test.h5'}." in page.words
+
+    # Data of the same hash at another stride are other data.
+    other = Path(shutil.copytree(runs / "two", tmp_path / "two"))
+    (results(other) / DATA_FILE).write_text(json.dumps({**identity(SAMPLE), "stride": 2}))
+    page = report(runs / "one", other, output=tmp_path / "strides")
+    assert "two has no results on these data" in page.text
+    assert (tmp_path / "strides" / "one_step_dam_break_2.csv").is_file()
+
+    with h5py.File(wave / "test.h5", "r+") as file:
+        file.attrs["viscosity"] = 0.25
+    page = report(one, output=tmp_path / "changed")
+    assert f"{wave / 'test.h5'} has changed since one was measured" in page.text
+    assert f"{SAMPLE / 'test.h5'} has changed" not in page.text
+
+
+def test_results_of_an_old_run_are_shown(runs: Path, one: Path, tmp_path: Path) -> None:
+    """Its tables lie in its own folder, some under old names."""
+    for path in [*results(one).iterdir()]:
+        path.rename(one / path.name)
+    shutil.rmtree(one / RESULTS)
+    (one / DATA_FILE).unlink()
+    (one / "rollout_metrics_predict.csv").rename(one / "rollout.csv")
+    table = "global feature of,skill\nthe frame itself,0.5\nanother frame,0.25\n"
+    (one / "foreign_context.csv").write_text(table)
+    page = report(one, output=tmp_path / "single")
+    for name in ("one_step", "rollout", "rollout_metrics"):
+        assert len(rows(tmp_path / "single" / f"{name}.csv")) == len(rows(one / f"{name}.csv"))
+    assert rows(tmp_path / "single" / "global_feature_permutation_one.csv")[2][1] == "0.25"
+    assert len(page.all("img")) == len([*one.glob("*.png")]) >= 2
+    note = "The data that one was measured on are not noted"
+    assert note in page.text
+    # Its results are not set beside those on data that are noted.
+    page = report(one, runs / "two", output=tmp_path / "several")
+    assert note in page.text
+    assert f"two has no results on these data, but on {SAMPLE / 'test.h5'}." in page.words
+    assert rows(tmp_path / "several" / "one_step_data_not_noted.csv")[0][1] == "skill"
+    # Tested once more, it has both, the new ones first.
+    shutil.copytree(results(runs / "one"), one / RESULTS / "dam_break")
+    (run,) = read_runs([one])
+    assert [it.label for it in run.results] == ["dam_break", "data not noted"]
+
+
+def test_results_without_a_note_of_their_data_are_named(one: Path, tmp_path: Path) -> None:
+    (results(one) / DATA_FILE).write_text("{")
+    page = report(one, output=tmp_path / "report")
+    assert "one: results/dam_break/data.json cannot be read: it notes no data." in page.words
+    assert (tmp_path / "report" / "one_step.csv").is_file()
 
 
 @pytest.mark.parametrize("count", [2, 3])

@@ -22,12 +22,8 @@ _CURVES = tuple(f"#0102{number:02x}" for number in range(0x11, 0x17))
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "text.parse_math": False,  # a run's name may have a $
-    "text.color": _INK,
-    "axes.edgecolor": _INK,
-    "axes.labelcolor": _INK,
-    "xtick.color": _INK,
-    "ytick.color": _INK,
-    "grid.color": _INK,
+    **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "grid.color"), _INK),
+    **dict.fromkeys(("xtick.color", "ytick.color"), _INK),
     "legend.frameon": False,
     "font.size": 10.0,
 }
@@ -77,7 +73,9 @@ def draw(lines: Sequence[Line], label: str, name: str) -> str:
                 linestyle="--" if line.points else "-",
                 linewidth=1.5,
                 # A single value makes no line.
-                marker=_MARKERS[line.color % len(_MARKERS)] if _marked(line) else None,
+                marker=_MARKERS[line.color % len(_MARKERS)]
+                if len(line.curve) == 1 or (line.points and len(line.curve) <= 60)
+                else None,
                 markersize=4,
             )
         values = [value for line in lines for value in finite(line.curve)]
@@ -112,18 +110,12 @@ class _Plain(LogFormatter):
         return f"{x:g}" if super().__call__(x, pos) else ""
 
 
-def _marked(line: Line) -> bool:
-    return len(line.curve) == 1 or (line.points and len(line.curve) <= 60)
-
-
 def _for_page(text: str, name: str) -> str:
     """Return the SVG element with unique ids and the colors of the page."""
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
     text = re.sub(r' xmlns(:xlink)?="[^"]*"', "", text)
-    text = re.sub(r'\bid="', f'id="{name}-', text)
-    text = re.sub(r'href="#', f'href="#{name}-', text)
-    text = re.sub(r"url\(#", f"url(#{name}-", text)
+    text = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", text)
     for number, color in enumerate(_CURVES, start=1):
         text = text.replace(color, f"var(--curve-{number})")
     text = text.replace(_INK, "currentColor")

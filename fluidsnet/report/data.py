@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from datamodules.schema import DAMAGE, SPLITS, Header, open_valid, simulations
 from fluidsnet.errors import UserError
@@ -14,6 +14,8 @@ from fluidsnet.report.run import CONFIG, Group, Results, Run
 from fluidsnet.report.tables import frame
 from fluidsnet.reporting.table import Cell
 
+#: Notes on the data that are shown only where they differ.
+_DEFAULTS: dict[str, Any] = {"frame_range": [0, None], "sample_every": 1}
 _COLUMNS = ("split", "simulations", "frames", "fluid particles", "solid particles", "time s")
 
 
@@ -42,43 +44,46 @@ def data_section(runs: Sequence[Run]) -> Section:
 
 def measured_notes(runs: Sequence[Run], group: Group) -> list[Note]:
     """Return sentences on the data that the results of a group were measured on."""
-    notes: dict[str, None] = {}
+    notes: list[str] = []
     for run in runs:
         results = group.results.get(run.name)
         if results is None:
-            others = " and ".join(str(it.path or "data not noted") for it in run.results)
-            notes[f"{run.name} has no results on these data, but on {others}."] = None
+            others = " and ".join(it.path for it in run.results)
+            notes.append(f"{run.name} has no results on these data, but on {others}.")
         elif results.data:
-            notes[f"Measured on {_summary(results)}."] = None
-            path = results.path
-            if path is not None and path.is_file() and _sha256(path) != results.data.get("sha256"):
-                text = f"{path} has changed since {run.name} was measured: its sha256 is now "
-                notes[f"{text}{_sha256(path)[:12]}."] = None
+            notes.append(f"Measured on {_summary(results)}.")
+            noted = str(results.data.get("sha256")).split(", ")
+            for path, digest in zip(results.files, noted, strict=False):
+                if _sha256(path) not in (None, digest):
+                    text = f"{path} has changed since {run.name} was measured"
+                    notes.append(f"{text}: its sha256 is now {str(_sha256(path))[:12]}.")
             if "root" in run.data and not run.trained_on(results):
-                notes[f"{run.name} was trained on other data: {run.data['root']}."] = None
+                notes.append(f"{run.name} was trained on other data: {run.data['root']}.")
         elif results.tables or results.pictures:
-            text = "not noted: the results are of an old version, which kept them in the run's"
-            notes[f"The data that {run.name} was measured on are {text} folder."] = None
-    return [Note(text) for text in notes]
+            text = f"The data that {run.name} was measured on are not noted"
+            notes.append(f"{text}, as in runs of older versions.")
+    return [Note(text) for text in dict.fromkeys(notes)]
 
 
 def _summary(results: Results) -> str:
-    data = results.data
-    parts = [f"{data.get('simulations')} simulations", f"{data.get('frames')} frames"]
-    if data.get("frame_range"):
-        parts.append(f"frame range {data['frame_range']}")
-    if data.get("sample_every") not in (None, 1):
-        parts.append(f"sampled every {data['sample_every']} frames")
-    parts.append(f"stride {data.get('stride')}")
-    if isinstance(data.get("time_step"), int | float):
-        parts.append(f"time step {1000 * data['time_step']:g} ms")
-    return f"{results.path} (sha256 {str(data.get('sha256'))[:12]}): {', '.join(parts)}"
+    parts = [
+        f"{name.replace('_', ' ')} {value}"
+        for name, value in results.data.items()
+        if name not in ("root", "file", "sha256", "time_step") and value != _DEFAULTS.get(name)
+    ]
+    time_step = results.data.get("time_step")
+    if isinstance(time_step, int | float):
+        parts.append(f"time step {1000 * time_step:g} ms")
+    digests = ", ".join(digest[:12] for digest in str(results.data.get("sha256")).split(", "))
+    return f"{results.path} (sha256 {digests}): {', '.join(parts)}"
 
 
-@lru_cache
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+def _sha256(path: Path) -> str | None:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return None
 
 
 def _describe(run: Run) -> tuple[list[str], list[list[Cell]]]:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import re
 from base64 import b64encode
-from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import groupby
 from pathlib import Path
-from typing import ClassVar
 
 import pandas as pd
 from jinja2 import Environment, StrictUndefined
 
-from fluidsnet.report.tables import shown
+from fluidsnet.report.tables import shown, unique
 from fluidsnet.reporting.table import Cell, markdown, write_csv
 
 _HERE = Path(__file__).parent
@@ -23,7 +22,6 @@ _HERE = Path(__file__).parent
 class Note:
     """A sentence; a `missing` one says what is absent and which command makes it."""
 
-    kind: ClassVar[str] = "note"
     text: str
     missing: bool = False
 
@@ -32,7 +30,6 @@ class Note:
 class Table:
     """A table with the name of its CSV file; a `folded` one opens at a click."""
 
-    kind: ClassVar[str] = "table"
     name: str
     caption: str
     frame: pd.DataFrame
@@ -55,7 +52,6 @@ class Table:
 class Chart:
     """Curves as SVG, described in `words` for screen readers."""
 
-    kind: ClassVar[str] = "chart"
     caption: str
     words: str
     svg: str
@@ -65,7 +61,6 @@ class Chart:
 class Picture:
     """A PNG file with a caption."""
 
-    kind: ClassVar[str] = "picture"
     caption: str
     path: Path
 
@@ -79,7 +74,6 @@ class Picture:
 class Folded:
     """A long text that opens at a click."""
 
-    kind: ClassVar[str] = "folded"
     caption: str
     text: str
 
@@ -122,7 +116,7 @@ def write_report(document: Document, folder: Path) -> Path:
     page = _page(document)
     folder.mkdir(parents=True, exist_ok=True)
     lines = [f"# {document.title}", "", document.lead]
-    names: set[str] = set()
+    names: list[str] = []
     for section in document.sections:
         if any(isinstance(part, Note | Table) for part in section.parts):
             lines += ["", f"## {section.title}"]
@@ -130,7 +124,8 @@ def write_report(document: Document, folder: Path) -> Path:
             if isinstance(part, Note):
                 lines += ["", part.text]
             elif isinstance(part, Table):
-                name = _unique(part.name, names)
+                name = unique(re.sub(r"[^\w.-]+", "_", part.name), names)
+                names.append(name)
                 write_csv(folder / f"{name}.csv", [*part.frame.columns], part.rows)
                 lines += ["", f"{part.caption} ({name}.csv):", "", _markdown(part)]
     (folder / "report.md").write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
@@ -145,26 +140,12 @@ def _page(document: Document) -> str:
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters.update(shown=shown, groups=_groups)
+    # Consecutive parts of a class are grouped, as charts stand side by side.
+    by_kind = partial(groupby, key=lambda part: type(part).__name__)
+    environment.filters.update(shown=shown, by_kind=by_kind)
     template = environment.from_string((_HERE / "page.html").read_text(encoding="utf-8"))
     style = (_HERE / "page.css").read_text(encoding="utf-8")
     return template.render(document=document, style=style)
-
-
-def _groups(parts: Sequence[Part]) -> list[tuple[str, list[Part]]]:
-    """Group consecutive parts of a kind, as charts stand side by side."""
-    return [(kind, list(same)) for kind, same in groupby(parts, key=lambda part: part.kind)]
-
-
-def _unique(name: str, names: set[str]) -> str:
-    """Return a file name for a table that is not in `names`, and add it."""
-    plain = found = re.sub(r"[^\w.-]+", "_", name)
-    number = 1
-    while found in names:
-        number += 1
-        found = f"{plain}_{number}"
-    names.add(found)
-    return found
 
 
 def _markdown(table: Table) -> str:

@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
 
 from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
+from tensorboard.backend.event_processing.event_accumulator import ScalarEvent
 from tensorboard.backend.event_processing.event_file_loader import RawEventFileLoader
 from tensorboard.compat.proto.event_pb2 import Event
 from tensorboard.compat.tensorflow_stub.pywrap_tensorflow import masked_crc32c
@@ -25,29 +25,8 @@ _FRAMING = 16
 
 #: Points (step, value), in order of steps.
 Curve = tuple[tuple[int, float], ...]
-
-
-class Scalar(NamedTuple):
-    """A logged value with its step and wall time in s."""
-
-    step: int
-    value: float
-    time: float
-
-
-@dataclass
-class EventFile:
-    """Contents of an event file.
-
-    Attributes:
-        scalars: Logged values by tag, in the order of the file.
-        began: Wall time of the first event, s; infinite without events.
-        flaw: Sentence on where the file is truncated or damaged; empty if it is whole.
-    """
-
-    scalars: dict[str, list[Scalar]] = field(default_factory=dict)
-    began: float = math.inf
-    flaw: str = ""
+#: Logged values by tag, in the order of a file.
+Scalars = dict[str, list[ScalarEvent]]
 
 
 @dataclass
@@ -65,34 +44,35 @@ class History:
     unread: list[str] = field(default_factory=list)
 
 
-def read_event_file(path: Path) -> EventFile:
+def read_event_file(path: Path) -> tuple[Scalars, str]:
     """Read the scalars of an event file up to its end or its first damage.
+
+    Returns:
+        The scalars, and a sentence on where the file breaks off; empty if it is whole.
 
     Raises:
         OSError: The file cannot be read.
     """
-    found, last, offset = EventFile(), None, 0
+    scalars: Scalars = {}
+    last, offset = None, 0
     try:
         for record in RawEventFileLoader(str(path)).Load():
             event = Event.FromString(record)
             offset += len(record) + _FRAMING
-            found.began = min(found.began, event.wall_time)
             for value in event.summary.value:
                 if value.HasField("simple_value"):
                     last = event.step
-                    scalar = Scalar(event.step, value.simple_value, event.wall_time)
-                    found.scalars.setdefault(value.tag, []).append(scalar)
+                    scalar = ScalarEvent(event.wall_time, event.step, value.simple_value)
+                    scalars.setdefault(value.tag, []).append(scalar)
     except DecodeError:
         pass
     # TensorBoard's loader stops silently at damage: compare what it read with the file.
     rest = path.read_bytes()[offset:]
-    if rest:
-        flaw = (
-            "ends within a record, as after its process was killed" if _cut(rest) else "is damaged"
-        )
-        missing = f"what followed a value at step {last} is missing"
-        found.flaw = f"{path.name} {flaw}: {'no value precedes that' if last is None else missing}."
-    return found
+    if not rest:
+        return scalars, ""
+    flaw = "ends within a record, as after its process was killed" if _cut(rest) else "is damaged"
+    missing = f"what followed a value at step {last} is missing"
+    return scalars, f"{path.name} {flaw}: {'no value precedes that' if last is None else missing}."
 
 
 def read_history(folder: Path) -> History:
@@ -106,26 +86,27 @@ def read_history(folder: Path) -> History:
         folder: Folder of the run.
     """
     history = History()
-    files: list[EventFile] = []
+    sessions: list[Scalars] = []
     for path in sorted(folder.glob(PATTERN)):
         try:
-            files.append(read_event_file(path))
+            scalars, flaw = read_event_file(path)
         except OSError as error:
-            history.unread.append(f"{path.name} cannot be read: {error.strerror}.")
-    history.unread += [file.flaw for file in files if file.flaw]
+            flaw = f"{path.name} cannot be read: {error.strerror}."
+        else:
+            sessions.append(scalars)
+        history.unread += [flaw] if flaw else []
     curves: dict[str, dict[int, float]] = {}
-    for file in sorted(files, key=lambda file: file.began):
-        scalars = [(tag, scalar) for tag, values in file.scalars.items() for scalar in values]
-        steps = {scalar.step for tag, scalar in scalars if tag.startswith(_OF_TRAINING)}
-        if TRAINED not in file.scalars and not any(steps):
+    for scalars in sorted(filter(None, sessions), key=lambda it: min(_times(it))):
+        steps = {it.step for tag in scalars if tag.startswith(_OF_TRAINING) for it in scalars[tag]}
+        if TRAINED not in scalars and not any(steps):
             continue
-        times = [scalar.time for _, scalar in scalars]
-        history.seconds += max(times) - min(times)
-        for points in curves.values():
-            for step in [step for step in points if step >= min(steps)]:
-                del points[step]
-        for tag, scalar in scalars:
-            curves.setdefault(tag, {})[scalar.step] = scalar.value
+        history.seconds += max(_times(scalars)) - min(_times(scalars))
+        curves = {
+            tag: {step: value for step, value in points.items() if step < min(steps)}
+            for tag, points in curves.items()
+        }
+        for tag, values in scalars.items():
+            curves.setdefault(tag, {}).update((it.step, it.value) for it in values)
     history.curves = {
         tag: tuple(sorted(points.items())) for tag, points in curves.items() if points
     }
@@ -140,6 +121,10 @@ def finite(curve: Curve) -> list[float]:
 def tags(histories: Sequence[History], prefix: str) -> list[str]:
     """Return the sorted tags of all histories that start with a prefix."""
     return sorted({tag for it in histories for tag in it.curves if tag.startswith(prefix)})
+
+
+def _times(scalars: Scalars) -> list[float]:
+    return [it.wall_time for values in scalars.values() for it in values]
 
 
 def _cut(rest: bytes) -> bool:

@@ -102,7 +102,7 @@ def _one_step(members: _Members, group: Group) -> list[Part]:
 
 
 def _rollouts(members: _Members, group: Group) -> list[Part]:
-    parts = _joined(members, group, "rollout", "Mean particle error of the rollouts of predict")
+    parts = _joined(members, group, "rollout", "Mean particle error of predict's rollouts")
     parts += _missing(members, ROLLED) + _missing(members, PREDICTED)
     further = {it for _, results in members for it in results.tables if it.startswith(ROLLED)}
     for table in (ROLLED, *sorted(further - {ROLLED})):
@@ -161,7 +161,7 @@ def _shows(picture: Path) -> str:
 
 
 def _rollouts_of(name: str) -> str:
-    return "the rollouts of predict" if name == PREDICTED else f"the test's rollouts{_which(name)}"
+    return "predict's rollouts" if name == PREDICTED else f"the test's rollouts{_which(name)}"
 
 
 def _which(name: str) -> str:

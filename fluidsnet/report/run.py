@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +13,7 @@ import yaml
 
 from fluidsnet.errors import UserError
 from fluidsnet.report.events import PATTERN, History, read_history
-from fluidsnet.report.tables import read_table
+from fluidsnet.report.tables import read_table, unique
 from fluidsnet.reporting.results import DATA_FILE, RESULTS, results_folders
 
 CONFIG = "config.yaml"
@@ -47,14 +48,19 @@ class Results:
 
     @property
     def key(self) -> str:
-        """Identity of the frames; results of the same frames can be compared."""
-        names = ("sha256", "stride", "frame_range", "sample_every")
-        return str([self.data.get(name) for name in names])
+        """Identity of the frames, wherever the data lie; equal ones can be compared."""
+        return str(sorted((k, v) for k, v in self.data.items() if k not in ("root", "file")))
 
     @property
-    def path(self) -> Path | None:
-        """Data file; None where the data are not noted."""
-        return Path(str(self.data["root"]), str(self.data.get("file"))) if self.data else None
+    def files(self) -> list[Path]:
+        """Data files; several where the data are split by frame."""
+        names = str(self.data.get("file")).split(", ")
+        return [Path(self.data["root"], name) for name in names] if self.data else []
+
+    @property
+    def path(self) -> str:
+        """Data files for a reader."""
+        return ", ".join(map(str, self.files)) or self.label
 
 
 @dataclass
@@ -147,12 +153,11 @@ def group_results(runs: Sequence[Run]) -> list[Group]:
     """Group the results of runs by their data; there is at least one group."""
     found: dict[tuple[str, int], dict[str, Results]] = {}
     for run in runs:
+        # A run may have results on several copies of a data file.
+        copies = Counter[str]()
         for results in run.results:
-            copy = 0
-            # A run may have results on two copies of a data file.
-            while run.name in found.get((results.key, copy), {}):
-                copy += 1
-            found.setdefault((results.key, copy), {})[run.name] = results
+            found.setdefault((results.key, copies[results.key]), {})[run.name] = results
+            copies[results.key] += 1
     members = [*found.values()] or [{}]
     for run in runs:
         if not run.results:
@@ -160,13 +165,9 @@ def group_results(runs: Sequence[Run]) -> list[Group]:
     if len(members) == 1:
         return [Group("", members[0])]
     groups: list[Group] = []
-    for results_by_run in members:
-        label = plain = next(iter(results_by_run.values())).label
-        number = 1
-        while label in (group.label for group in groups):
-            number += 1
-            label = f"{plain}_{number}"
-        groups.append(Group(label, results_by_run))
+    for it in members:
+        label = unique(next(iter(it.values())).label, [group.label for group in groups])
+        groups.append(Group(label, it))
     return groups
 
 
@@ -195,7 +196,9 @@ def _read(folder: Path, name: str) -> Run:
             if "root" in data:
                 results.data = data
             else:
-                run.unread.append(f"{place.name}/{DATA_FILE} cannot be read: it notes no data.")
+                run.unread.append(
+                    f"{place.relative_to(folder) / DATA_FILE} cannot be read: it notes no data."
+                )
         if results.tables or results.pictures:
             run.results.append(results)
     run.results.sort(key=lambda results: not run.trained_on(results))
@@ -233,10 +236,8 @@ def _read_config(run: Run) -> None:
     except (OSError, UnicodeError, yaml.YAMLError):
         run.unread.append(f"{CONFIG} cannot be read: it is not plain YAML.")
         return
-    if isinstance(config, dict):
-        run.config = config
-    else:
-        run.unread.append(f"{CONFIG} holds no settings.")
+    run.config = config if isinstance(config, dict) else None
+    run.unread += [] if isinstance(config, dict) else [f"{CONFIG} holds no settings."]
 
 
 def _remarks(path: Path) -> list[str]:

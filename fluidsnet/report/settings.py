@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import pandas as pd
@@ -19,7 +21,6 @@ from fluidsnet.cli import SEED
 from fluidsnet.report.document import Folded, Note, Section, Table
 from fluidsnet.report.run import CONFIG, Run
 from fluidsnet.report.tables import NONE, frame, union
-from fluidsnet.reporting.table import Cell
 
 #: Files with the shipped settings, in the repository's folder `configs`.
 _SHIPPED = ("trainer.yaml", "model/paper.yaml")
@@ -92,7 +93,8 @@ def shipped() -> dict[str, Setting]:
     for name in _SHIPPED:
         if not (folder / name).is_file():
             return {}
-        merged = _merged(merged, yaml.safe_load((folder / name).read_text()))
+        for key, value in yaml.safe_load((folder / name).read_text()).items():
+            merged[key] = {**merged.get(key, {}), **value}
     return flat(merged)
 
 
@@ -131,11 +133,11 @@ def differing(runs: Mapping[str, Mapping[str, Setting]]) -> pd.DataFrame | None:
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> pd.DataFrame | None:
-    def rank(row: Sequence[Cell]) -> int:
-        group = str(row[0]).partition(".")[0]
+    def rank(row: Sequence[str]) -> int:
+        group = row[0].partition(".")[0]
         return _ORDER.index(group) if group in _ORDER else len(_ORDER)
 
-    return frame(header, sorted(rows, key=rank)) if rows else None
+    return frame(header, [*sorted(rows, key=rank)]) if rows else None
 
 
 def _flat(
@@ -147,37 +149,18 @@ def _flat(
         given = value.get("init_args")
         value, default = {**known, **(given if isinstance(given, Mapping) else {})}, known
     if isinstance(value, list) and value and all(map(_is_block, value)):
-        for key, block in _named(value).items():
-            yield from _flat(f"{name}.{key}", block, NONE, listed=True)
+        counts = Counter[str]()
+        for block in value:
+            key = _short(block["class_path"])
+            counts[key] += 1
+            number = f"#{counts[key]}" if counts[key] > 1 else ""
+            yield from _flat(f"{name}.{key}{number}", block, NONE, listed=True)
     elif isinstance(value, Mapping):
         defaults = default if isinstance(default, Mapping) else {}
         for key, inner in value.items():
             yield from _flat(f"{name}.{key}".lstrip("."), inner, defaults.get(key))
     else:
         yield name, Setting(_plain(value), _plain(default), listed)
-
-
-def _named(blocks: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return blocks by class name; a second block of a class gets a number."""
-    found: dict[str, Any] = {}
-    for block in blocks:
-        key = short = _short(block["class_path"])
-        number = 1
-        while key in found:
-            number += 1
-            key = f"{short}#{number}"
-        found[key] = block
-    return found
-
-
-def _merged(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
-    """Merge two config files as the command line does: the second one overrides the first."""
-    merged = dict(first)
-    for key, value in second.items():
-        below = merged.get(key)
-        both = isinstance(below, Mapping) and isinstance(value, Mapping)
-        merged[key] = _merged(below, value) if both else value  # type: ignore[arg-type]
-    return merged
 
 
 @lru_cache
@@ -210,8 +193,7 @@ def _short(path: str) -> str:
 def _plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_plain(inner) for inner in value]
-    known = value is None or isinstance(value, (bool, int, float, str))
-    return value if known else str(value)
+    return value if isinstance(value, (int, float, str, NoneType)) else str(value)
 
 
 def _text(value: Any) -> str:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from itertools import chain, count
 from pathlib import Path
 from typing import TypeVar
 
@@ -17,7 +18,7 @@ Key = TypeVar("Key", bound=Cell)
 NONE = "–"
 
 
-def frame(header: Sequence[str], rows: Iterable[Sequence[Cell]]) -> pd.DataFrame:
+def frame(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> pd.DataFrame:
     """Return a table whose cells keep their type; the first column names the rows."""
     return pd.DataFrame([*rows], columns=[*header], dtype=object)
 
@@ -97,6 +98,12 @@ def union(lists: Iterable[Iterable[Key]]) -> list[Key]:
     return found
 
 
+def unique(name: str, taken: Collection[str]) -> str:
+    """Return a name that is not taken, with a number behind it where needed."""
+    numbered = (f"{name}_{number}" for number in count(2))
+    return next(found for found in chain([name], numbered) if found not in taken)
+
+
 def near(first: Cell, second: Cell) -> bool:
     """Return whether two cells agree up to rounding, as from another batch size."""
     if isinstance(first, str) or isinstance(second, str):
@@ -106,8 +113,8 @@ def near(first: Cell, second: Cell) -> bool:
 
 def same(first: Iterable[Cell], second: Iterable[Cell]) -> bool:
     """Return whether two lists of cells have the same length and agree up to rounding."""
-    one, other = list(first), list(second)
-    return len(one) == len(other) and all(map(near, one, other))
+    cells, others = [*first], [*second]
+    return len(cells) == len(others) and all(map(near, cells, others))
 
 
 def _cell(text: str) -> Cell:
