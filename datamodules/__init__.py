@@ -1,4 +1,4 @@
-"""SPH data: the file format, the data module that reads it, the solver that makes it."""
+"""SPH data: the HDF5 file format, the data module that reads it, and the generator."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["SPHDataModule"]
 
 
 def __getattr__(name: str) -> Any:
-    # Loaded on first use: the solver's processes import this package and need no torch.
+    # Imported on first use: solver processes import this package and do not need torch.
     if name == "SPHDataModule":
         from datamodules.sph import SPHDataModule
 

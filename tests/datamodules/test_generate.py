@@ -19,10 +19,9 @@ import pytest
 from numpy.typing import NDArray
 
 from datamodules.generate.dataset import generate
-from datamodules.generate.job import Job, SolverName
+from datamodules.generate.job import Job, SolverName, scene_file
 from datamodules.generate.recipe import Recipe
 from datamodules.generate.recorder import EscapedError, Recorder
-from datamodules.generate.scene_file import scene_file
 from datamodules.generate.scenes import CLEARANCE, Block, Body, DamBreak, Drop, DropPool, SceneKind
 from datamodules.schema import Header, validate
 from fluidsnet.errors import UserError
@@ -281,7 +280,7 @@ def test_a_failure_is_named_with_its_seed_and_the_others_go_on(
     recipe = replace(RECIPE, scene=Spoiled(mesh), frames=3, seed=5, train=3)
     failures = generate(recipe, tmp_path / "data", processes=2)
     assert [(failure.name, failure.seed) for failure in failures] == [("train-00001", [5, 0, 1])]
-    assert "open.obj" in failures[0].words and "open" in failures[0].words
+    assert "open.obj" in failures[0].reason and "open" in failures[0].reason
     said = capsys.readouterr().err
     assert "train-00001" in said and "[5, 0, 1]" in said and "left out" in said
     with h5py.File(tmp_path / "data" / "train.h5") as file:

@@ -94,7 +94,7 @@ def still(file: h5py.File) -> None:
 
 
 SPOILED: dict[str, tuple[Spoil, str]] = {
-    "not finite": (not_finite, "frame 7 is the first of 2 not finite"),
+    "not finite": (not_finite, "2 frames are not finite, the first is 7"),
     "shuffled rows": (shuffled, "rows may not keep their particle"),
     "escaped": (escaped, "up to 1 particles are outside the domain"),
     "another dt": (other_dt, "the frames are not dt apart"),

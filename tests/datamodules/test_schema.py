@@ -91,7 +91,10 @@ def group_for(name: str) -> Spoil:
 
 #: What is spoiled, and words that must be in the sentence. A valid file has 4 frames of 6.
 SPOILED: dict[str, tuple[Spoil, list[str]]] = {
-    "another version": (set_attribute("schema_version", 2), ["schema_version is 2", "reads 1"]),
+    "another version": (
+        set_attribute("schema_version", 2),
+        ["schema_version is 2", "reads 1"],
+    ),
     "a version in words": (set_attribute("schema_version", "two"), ["schema_version is two"]),
     "no dt": (drop_attribute("dt"), ["attribute dt is missing"]),
     "no solver": (drop_attribute("solver"), ["attribute solver is missing"]),
