@@ -179,19 +179,15 @@ def _validate_header(path: Path, file: h5py.File) -> None:
     for field in fields(Header):
         if field.name not in file.attrs:
             raise UserError(f"{path}: the attribute {field.name} is missing.")
-    for name in (*VECTORS, *_FLOATS):
-        if not np.issubdtype(np.asarray(file.attrs[name]).dtype, np.number):
-            raise UserError(f"{path}: the attribute {name} must hold numbers.")
-    for name in _FLOATS:
-        if np.shape(file.attrs[name]) != ():
-            raise UserError(f"{path}: the attribute {name} must be one number.")
+    for names, shape, expected in ((VECTORS, (3,), "three numbers"), (_FLOATS, (), "one number")):
+        for name in names:
+            value = np.asarray(file.attrs[name])
+            if not np.issubdtype(value.dtype, np.number) or value.shape != shape:
+                raise UserError(f"{path}: the attribute {name} must be {expected}.")
     try:
         json.loads(file.attrs["solver_parameters"])
     except (TypeError, ValueError) as error:
         raise UserError(f"{path}: the attribute solver_parameters must be JSON.") from error
-    for name in VECTORS:
-        if np.shape(file.attrs[name]) != (3,):
-            raise UserError(f"{path}: the attribute {name} must be three numbers.")
     if not np.all(np.asarray(file.attrs["domain_upper"]) > file.attrs["domain_lower"]):
         raise UserError(f"{path}: domain_upper must be above domain_lower on every axis.")
     for name in ("particle_radius", "support_radius", "dt"):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from datamodules.generate.mesh import write_box, write_drop
-from datamodules.generate.scenes import Block, Body, Drop, Vector
+from datamodules.generate.scenes import Block, Body, Drop, Vector, describe
 
 SolverName = Literal["WCSPH", "PCISPH", "IISPH", "DFSPH"]
 
@@ -27,12 +27,7 @@ PARAMETERS: dict[SolverName, dict[str, float]] = {
 
 #: Default time step of each pressure solver, s. In a step of WCSPH, which has no pressure
 #: solve, sound (19 m/s at its stiffness) may cross 0.4 of a particle.
-SOLVER_STEPS: dict[SolverName, float] = {
-    "WCSPH": 0.0005,
-    "PCISPH": 0.0025,
-    "IISPH": 0.0025,
-    "DFSPH": 0.0025,
-}
+SOLVER_STEPS = {"WCSPH": 0.0005, "PCISPH": 0.0025, "IISPH": 0.0025, "DFSPH": 0.0025}
 
 #: Boundary handling of Akinci et al. 2012, which has boundary particles.
 AKINCI_2012 = 0
@@ -80,8 +75,7 @@ class Job:
 
     def to_json(self) -> str:
         """Return the job as JSON text."""
-        bodies = [body.describe() for body in self.bodies]
-        return json.dumps({**asdict(self), "bodies": bodies})
+        return json.dumps({**asdict(self), "bodies": [describe(body) for body in self.bodies]})
 
     @classmethod
     def from_json(cls, text: str) -> Job:

@@ -37,10 +37,6 @@ class Block:
     lower: Vector
     upper: Vector
 
-    def describe(self) -> dict[str, Any]:
-        """Return the body as JSON values."""
-        return {"shape": "block", **asdict(self)}
-
     def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the lower and upper corner of the bounding box, in m."""
         return np.array(self.lower), np.array(self.upper)
@@ -61,16 +57,17 @@ class Drop:
     radius: float
     mesh: str | None = None
 
-    def describe(self) -> dict[str, Any]:
-        """Return the body as JSON values."""
-        return {"shape": "drop", **asdict(self)}
-
     def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the lower and upper corner of the bounding box, in m."""
         return np.array(self.center) - self.radius, np.array(self.center) + self.radius
 
 
 Body = Block | Drop
+
+
+def describe(body: Body) -> dict[str, Any]:
+    """Return a body as JSON values."""
+    return {"shape": type(body).__name__.lower(), **asdict(body)}
 
 
 class SceneKind(ABC):
@@ -94,10 +91,7 @@ class SceneKind(ABC):
     def room(self, particle_radius: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the lower and upper corner, in m, of the box in which fluid may start."""
         clearance = CLEARANCE * particle_radius
-        return (
-            np.full(3, clearance),
-            np.array(self.domain, dtype=np.float64) - clearance,
-        )
+        return np.full(3, clearance), np.array(self.domain, dtype=np.float64) - clearance
 
     def block(
         self, corner: Sequence[float], edges: Sequence[float], particle_radius: float

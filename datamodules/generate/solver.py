@@ -22,6 +22,7 @@ import h5py
 
 from datamodules.generate.job import AKINCI_2012, REGULAR_TRIANGLES, Job, scene_file
 from datamodules.generate.recorder import EscapedError, Recorder
+from datamodules.generate.scenes import describe
 from datamodules.schema import Header
 from fluidsnet.errors import UserError
 
@@ -111,9 +112,7 @@ def simulate(job: Job, report: int) -> None:
                 _header(job).write(file)
                 group = file.create_group("00000")
                 group.attrs["seed"] = json.dumps(job.seed)
-                group.attrs["scene_parameters"] = json.dumps(
-                    [body.describe() for body in job.bodies]
-                )
+                group.attrs["scene_parameters"] = json.dumps([*map(describe, job.bodies)])
                 group.attrs["threads"] = job.threads
                 recorder = Recorder(solver, job, group, report)
                 while recorder.frames < job.frames:
@@ -156,16 +155,12 @@ def _header(job: Job) -> Header:
 def main(arguments: list[str]) -> int:
     """Run a job: the arguments are its file and the file descriptor to report to."""
     job = Job.from_json(Path(arguments[0]).read_text())
-    # Both are read when the OpenMP library loads. Threads that spin while they wait, the
-    # default, slow down a busy machine thirtyfold.
-    os.environ["OMP_NUM_THREADS"] = str(job.threads)
-    os.environ["OMP_WAIT_POLICY"] = "passive"
     try:
         simulate(job, int(arguments[1]))
     except BrokenPipeError:
         return 1
     except (UserError, EscapedError, RuntimeError) as error:
-        print(f"{error}", file=sys.stderr, flush=True)
+        print(error, file=sys.stderr, flush=True)
         return 1
     return 0
 

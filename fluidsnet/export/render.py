@@ -191,11 +191,11 @@ def _spheres(
     for down in range(-reach, reach + 1):
         for across in range(-reach, reach + 1):
             column, line = x.astype(int) + across, y.astype(int) + down
-            distance = ((column + 0.5 - x) ** 2 + (line + 0.5 - y) ** 2) / size**2
-            hit = (distance < 1) & (column >= 0) & (column < width) & (line >= 0) & (line < height)
+            squared = ((column + 0.5 - x) ** 2 + (line + 0.5 - y) ** 2) / size**2
+            hit = (squared < 1) & (column >= 0) & (column < width) & (line >= 0) & (line < height)
             particle = np.flatnonzero(hit)
             pixel = line[particle] * width + column[particle]
-            surface = depth[particle] - radius * np.sqrt(1 - distance[particle])
+            surface = depth[particle] - radius * np.sqrt(1 - squared[particle])
             front = surface < nearest[pixel]
             nearest[pixel[front]], owner[pixel[front]] = surface[front], particle[front]
 
@@ -213,9 +213,8 @@ def _spheres(
     image = np.zeros((height * width, 4), dtype=np.float32)
     image[filled, :3] = np.clip(paint[particle] * light[:, None], 0, 1)
     image[filled, 3] = 1
-    blocks = image.reshape(camera.height, _SUPERSAMPLING, camera.width, _SUPERSAMPLING, 4).sum(
-        axis=(1, 3)
-    )
+    shape = (camera.height, _SUPERSAMPLING, camera.width, _SUPERSAMPLING, 4)
+    blocks = image.reshape(shape).sum(axis=(1, 3))
     opacity = blocks[..., 3:]
     blocks[..., :3] /= np.maximum(opacity, 1)
     return np.concatenate([blocks[..., :3], opacity / _SUPERSAMPLING**2], axis=2), len(order)
