@@ -1,77 +1,81 @@
-"""Rollouts measured in validation and test."""
+"""Metrics of rollouts in validation, test and prediction."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import torch
 from lightning import Callback, LightningModule, Trainer
-from tqdm import tqdm
 
-from fluidsnet.baselines import Baselines
 from fluidsnet.errors import UserError
-from fluidsnet.metrics.rollout_suite import Figures, RolloutSuite
+from fluidsnet.metrics.suite import RolloutResults, RolloutSuite
 from fluidsnet.module import FluidsNet
-from fluidsnet.particles import RolloutStarts
+from fluidsnet.particles import Particles, RolloutStart, RolloutStarts
+from fluidsnet.progress import Progress
 from fluidsnet.reporting.charts import Charts, ChartSource
+from fluidsnet.reporting.requirements import is_first, require_fluidsnet, require_rollout_starts
+from fluidsnet.reporting.results import results_folder
 from fluidsnet.reporting.rollout_curves import draw_curves
+from fluidsnet.reporting.rollout_frames import roll_out
 from fluidsnet.reporting.rollout_metrics_table import write_rollout_metrics
-from fluidsnet.reporting.rollout_scalars import log_beside, log_scalars, logged_steps, scalars_of
-from fluidsnet.reporting.run_folder import run_folder
-from fluidsnet.rollout import rollout
+from fluidsnet.reporting.rollout_scalars import log_predictors, log_scalars, rollout_scalars
+from fluidsnet.rollout import RolloutObserver
 
-#: Those whose position error is drawn with the predictors' in one chart.
+#: Numbers of steps whose position error has a chart.
 CHARTED = (1, 10, 25)
 
 
-class RolloutMetrics(Callback, ChartSource):
-    """Rolls the network out on held-out simulations and logs every metric of the rollouts.
+class RolloutMetrics(Callback, ChartSource, RolloutObserver):
+    """Measure rollouts on held-out simulations with all metrics.
 
-    In validation `rollout/<metric>/<steps>`, which a ModelCheckpoint can monitor where every
-    validation rolls out, and the trivial predictors and the integrator's floor as
-    `rollout_predictors/<metric>/<steps>/<predictor>`, in a group of their own, as they are many;
-    these are measured once, as they do not change. It comes before callbacks that swap weights
-    for validation, or it measures the others.
+    In validation it logs `rollout/<metric>/<steps>`, which a ModelCheckpoint can monitor if every
+    validation rolls out, and the baselines, measured once, as
+    `rollout_predictors/<metric>/<steps>/<predictor>`. Twins of an `Ablation` are rolled out from
+    the same starts and logged with the model as `ablation_rollout/<metric>/<steps>/<name>`. It
+    must come before callbacks that swap weights for validation, to measure the swapped weights.
 
-    Models that an `Ablation` trains side by side are rolled out from the same starts, and the
-    figures of each are `ablation_rollout/<metric>/<steps>/<name>` as well.
+    In `test` the groups are `test_rollout/`, `test_rollout_predictors/` and
+    `ablation_test_rollout/`. `rollout_metrics.md` and `.csv` have a row for each predictor and
+    number of steps; `rollout_metrics.png`, also in TensorBoard, has errors and energies against
+    time.
 
-    In `test` the same under `test_rollout/`, `test_rollout_predictors/` and
-    `ablation_test_rollout/`; `rollout_metrics.md` and `.csv` in the run's folder, a row a
-    predictor and number of steps; and `rollout_metrics.png`, the errors and energies against
-    time, also in TensorBoard.
+    In `predict` the first callback of this class measures the rollouts of `predict`, from the
+    start to the truth's end, and writes `rollout_metrics_predict.md` and `.csv`. Without a truth
+    there is no table.
 
-    A rollout goes as far as it is asked to or as its truth goes, whichever is less; after some
-    steps fewer simulations may be left, and the table says how many. One that turns
-    non-finite counts as infinite from there on, and the table names it and the step.
+    In validation and test a rollout ends after `steps` or with its truth. The table has the number
+    of simulations left. A rollout that becomes non-finite counts as infinite from there on, and
+    the table names it and the step.
 
-    Several measure apart, such as from rest and in motion, if each but one has a name: the groups
-    are then `rollout_<name>`, `test_rollout_<name>` and so on, the files `rollout_metrics_<name>`.
+    Several callbacks, such as from rest and in motion, need different names: the groups are then
+    `rollout_<name>`, `test_rollout_<name>` and so on, the files `rollout_metrics_<name>`.
 
-    Example::
+    Example:
+        .. code-block:: yaml
 
-        callbacks:
-          - class_path: callbacks.RolloutMetrics
-            init_args:
-              steps: 100
-              starts: [0, 0.5] # the first frame, and half way through
-              simulations: 2
-              every_n_validations: 10
+            callbacks:
+              - class_path: callbacks.RolloutMetrics
+                init_args:
+                  steps: 100
+                  starts: [0, 0.5] # the first frame, and half way through
+                  simulations: 2
+                  every_n_validations: 10
 
     Args:
-        steps: of each rollout; to the truth's end by default.
-        starts: frames that rollouts start at: whole numbers are frames, fractions shares of a
-            simulation from 0.0 to below 1.
-        simulations: how many are rolled out, from the file's first on; all by default.
-        every_n_validations: in training, how often one rolls out; 0 for none in any.
-        costly_steps: after which chamfer, sinkhorn and density are taken, and after the last
-            step too. At these of 100 steps all metrics cost less than the rollout itself.
-        name: where there are several: lower-case letters, digits and ``_``; "" for none.
+        steps: Number of steps of each rollout; by default up to the truth's end.
+        starts: Frames that rollouts start at: a whole number is a frame, a fraction is a share of
+            the simulation, from 0.0 to below 1.
+        simulations: Number of simulations, from the first in the file; all by default.
+        every_n_validations: Number of validations in training from one that rolls out to the
+            next; 0 for none.
+        costly_steps: Steps after which chamfer, Sinkhorn and density are measured, besides the
+            last. At these of 100 steps all metrics cost less than the rollout.
+        name: Name of this callback among several: lower-case letters, digits and ``_``.
 
     Raises:
-        UserError: an argument cannot be used.
+        UserError: an argument is out of range.
     """
 
     def __init__(
@@ -94,17 +98,18 @@ class RolloutMetrics(Callback, ChartSource):
                 )
         if not starts or not all(s >= 0 if isinstance(s, int) else 0 <= s < 1 for s in starts):
             raise UserError(
-                f"RolloutMetrics: starts is {list(starts)}; whole numbers are frames, fractions "
-                "are shares of a simulation, from 0.0 to below 1, and there must be one."
+                f"RolloutMetrics: starts is {list(starts)}; give at least one: whole numbers are "
+                "frames, fractions from 0.0 to below 1 are shares of a simulation."
             )
         if any(step < 1 for step in costly_steps):
             raise UserError(
                 f"RolloutMetrics: costly_steps is {list(costly_steps)}; the first step is 1."
             )
-        if not re.fullmatch("([a-z][a-z0-9_]*)?", name) or name.endswith("predictors"):
+        taken = name == "predict" or name.endswith("predictors")
+        if not re.fullmatch("([a-z][a-z0-9_]*)?", name) or taken:
             raise UserError(
-                f"RolloutMetrics: the name {name!r} is taken or has other signs than lower-case "
-                "letters, digits and _; choose another."
+                f"RolloutMetrics: the name {name!r} is taken or has characters other than "
+                "lower-case letters, digits and _; choose another."
             )
         self.name = name
         self.steps, self.starts, self.simulations = steps, starts, simulations
@@ -114,144 +119,157 @@ class RolloutMetrics(Callback, ChartSource):
 
     @property
     def state_key(self) -> str:
-        """Of several, each has its own state in a checkpoint."""
+        """Key of this callback's state in a checkpoint."""
         return self._named(type(self).__qualname__)
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        """Checks who is rolled out, and forgets what an earlier run measured.
-
-        Raises:
-            UserError: the module is not a FluidsNet, or the data give no rollouts.
-        """
-        if not isinstance(pl_module, FluidsNet):
-            raise UserError("RolloutMetrics measures rollouts of FluidsNet alone.")
-        data = getattr(trainer, "datamodule", None)
-        if stage != "predict" and not hasattr(data, "rollout_starts"):
-            raise UserError(
-                "RolloutMetrics needs a data module with rollout_starts, such as SPHDataModule."
-            )
+        """Check the module and the data, and look up the folder, all processes together."""
+        require_fluidsnet(self, pl_module)
+        require_rollout_starts(self, trainer)
         self._validations, self._suite = 0, None
-        # Asked for by all processes, since they agree on it.
-        self._folder = run_folder(trainer)
+        if stage in ("test", "predict"):
+            self._folder = results_folder(trainer)
 
     def charts(self, module: FluidsNet) -> Charts:
-        """The position errors after some of the steps, the models' and the predictors'."""
+        """Return charts of the position errors of models and baselines."""
         if not self.every_n_validations:
             return {}
         steps = [step for step in CHARTED if self.steps is None or step <= self.steps]
-        rollout = self._named("rollout")
-        alone = len(module.named_models()) == 1
-        group = (
-            f"{rollout}(_predictors)?" if alone else f"({rollout}_predictors|ablation_{rollout})"
-        )
-        tag = f"{group}/position_error_mm/{{}}(/|$)"
+        group = self._named("rollout")
+        if len(module.named_models()) == 1:
+            groups = f"{group}(_predictors)?"
+        else:
+            groups = f"({group}_predictors|ablation_{group})"
         return {
-            rollout: {
-                f"position error after {step} steps, mm": [tag.format(step)] for step in steps
+            group: {
+                f"position error after {step} steps, mm": [
+                    f"{groups}/position_error_mm/{step}(/|$)"
+                ]
+                for step in steps
             }
         }
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Tells TensorBoard to draw model and predictors into one chart."""
-        assert isinstance(pl_module, FluidsNet)
-        self.write_charts(trainer, pl_module)
+        """Write the charts."""
+        self.write_charts(trainer, require_fluidsnet(self, pl_module))
 
     def state_dict(self) -> dict[str, Any]:
-        """Of a training that is resumed, which validation comes next."""
+        """Return the number of validations so far."""
         return {"validations": self._validations}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Goes on counting."""
+        """Restore the number of validations so far."""
         self._validations = state_dict["validations"]
 
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Rolls out, if it is this validation's turn, and logs."""
+        """Roll out in every n-th validation, and log."""
         if trainer.sanity_checking or self.every_n_validations == 0:
             return
         self._validations += 1
         if trainer.state.fn == "fit" and self._validations % self.every_n_validations:
             return
-        assert isinstance(pl_module, FluidsNet)
-        starts, figures = self._measure(trainer, pl_module, "val")
-        scalars = scalars_of(figures, max(starts.steps))
+        module = require_fluidsnet(self, pl_module)
+        scalars = rollout_scalars(self._measure(trainer, module, "val")[1])
         group = self._named("rollout")
-        mine = {f"{group}/{name}": value for name, value in scalars["model"].items()}
-        # All processes have the same; their mean spares a warning.
-        pl_module.log_dict(mine, sync_dist=True, batch_size=1)
-        log_beside(trainer, pl_module, group, scalars)
+        tagged = {f"{group}/{name}": value for name, value in scalars["model"].items()}
+        # All processes have the same values; Lightning warns without the mean.
+        module.log_dict(tagged, sync_dist=True, batch_size=1)
+        log_predictors(trainer, module, group, scalars)
 
     def on_test_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Rolls out, logs, and writes the table and the figure."""
-        assert isinstance(pl_module, FluidsNet)
-        starts, figures = self._measure(trainer, pl_module, "test")
+        """Roll out, log, and write the table and the picture."""
+        module = require_fluidsnet(self, pl_module)
+        starts, results = self._measure(trainer, module, "test")
         if not trainer.is_global_zero:
             return
-        longest = max(starts.steps)
-        scalars = scalars_of(figures, longest)
+        scalars = rollout_scalars(results)
         group = self._named("test_rollout")
         log_scalars(trainer, group, {"": scalars["model"]})
-        log_beside(trainer, pl_module, group, scalars)
-        time_step: float = starts[0].state.scene.time_step
-        path = self._folder / self._named("rollout_metrics")
-        text = write_rollout_metrics(path, figures, starts, logged_steps(longest), time_step)
-        draw_curves(path.with_suffix(".png"), figures, time_step, trainer.loggers, group)
-        print(f"\n{text}\n{path}.md\n{path}.png")
+        log_predictors(trainer, module, group, scalars)
+        path, time_step = self._folder / self._named("rollout_metrics"), _time_step(trainer)
+        text = write_rollout_metrics(path, results, starts, time_step)
+        draw_curves(path.with_suffix(".png"), results, time_step, trainer.loggers, group)
+        print(f"{text}\n{path}.md\n{path}.png")
 
-    def _named(self, words: str) -> str:
-        return f"{words}_{self.name}" if self.name else words
+    def on_predict_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Start a suite for the rollouts of `predict`."""
+        self._suite = None
+        if is_first(self, trainer):
+            loader: Any = trainer.predict_dataloaders
+            self._start_suite(loader.dataset, ("model",), pl_module.device)
+
+    def on_rollout_step(
+        self, start: RolloutStart, step: int, states: Mapping[str, Particles]
+    ) -> None:
+        """Measure a step of a rollout, if it has a truth."""
+        if self._suite is not None and "truth" in states:
+            index = self._rollouts.index((start.name, start.first))
+            self._suite.update(index, step, states, states["truth"], start.state)
+
+    def on_predict_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Write the table."""
+        if not is_first(self, trainer):
+            return
+        results = self._suite.compute() if self._suite else None
+        if not trainer.is_global_zero:
+            return
+        if results is None or not results["model"]["simulations"].any():
+            print("No state of the rollouts has a truth: there is no table of rollout metrics.")
+            return
+        loader: Any = trainer.predict_dataloaders
+        path = self._folder / "rollout_metrics_predict"
+        text = write_rollout_metrics(path, results, loader.dataset, _time_step(trainer))
+        print(f"{text}\n{path}.md")
+
+    def _named(self, prefix: str) -> str:
+        return f"{prefix}_{self.name}" if self.name else prefix
+
+    def _start_suite(
+        self, starts: RolloutStarts, models: Sequence[str], device: torch.device
+    ) -> None:
+        """Make a suite for the steps that have a truth, if there is one."""
+        self._rollouts = list(zip(starts.names, starts.first, strict=True))
+        longest = max(starts.known_steps)
+        if longest > 0:
+            simulations = [starts.names.index(name) for name in starts.names]
+            costly_steps = {*self.costly_steps, longest}
+            self._suite = RolloutSuite(simulations, longest, costly_steps, device, models)
 
     @torch.no_grad()
     def _measure(
         self, trainer: Trainer, module: FluidsNet, split: Literal["val", "test"]
-    ) -> tuple[RolloutStarts, Figures]:
+    ) -> tuple[RolloutStarts, RolloutResults]:
         data: Any = trainer.datamodule  # type: ignore[attr-defined]
         starts: RolloutStarts = data.rollout_starts(
             split, self.starts, self.steps, self.simulations
         )
-        # Of all but the model, in an earlier validation.
-        known = self._suite is not None
+        models = module.named_models()
+        # An earlier validation has measured the baselines, which do not change.
+        names = None if self._suite is None else {*models, "truth"}
         if self._suite is None:
-            longest = max(starts.steps)
-            names = [starts.names.index(name) for name in starts.names]
-            costly = {*self.costly_steps, longest}
-            models = list(module.named_models())
-            self._suite = RolloutSuite(names, longest, costly, module.device, models)
-        for name in module.named_models():
+            self._start_suite(starts, list(models), module.device)
+        assert self._suite is not None
+        for name in models:
             self._suite.forget(name)
-        mine = range(trainer.global_rank, len(starts), trainer.world_size)
-        bar = tqdm(
-            total=sum(starts.steps[index] for index in mine),
+        indices = range(trainer.global_rank, len(starts), trainer.world_size)
+        bar = Progress(
+            total=sum(starts.steps[index] for index in indices),
             desc="measuring rollouts",
             unit="step",
             leave=False,
             disable=split == "val" or not trainer.is_global_zero,
         )
-        for index in mine:
-            self._roll_out(trainer, module, self._suite, starts, index, known, bar)
+        for index in indices:
+            start = starts[index].to(module.device)
+            for step, states in enumerate(roll_out(trainer, module, start), start=1):
+                measured = {n: state for n, state in states.items() if names is None or n in names}
+                self.on_rollout_step(start, step, measured)
+                bar.update()
         bar.close()
         return starts, self._suite.compute()
 
-    @staticmethod
-    def _roll_out(
-        trainer: Trainer,
-        module: FluidsNet,
-        suite: RolloutSuite,
-        starts: RolloutStarts,
-        index: int,
-        known: bool,
-        bar: Any,
-    ) -> None:
-        """One rollout of each model; where the others' figures are known, of these alone."""
-        start = starts[index].to(module.device)
-        rollouts = {
-            name: rollout(model, start.state, starts.steps[index])
-            for name, model in module.named_models().items()
-        }
-        baselines = Baselines(start.state, module.model.integrator)
-        for step in range(1, starts.steps[index] + 1):
-            with trainer.precision_plugin.forward_context():
-                states = {name: next(rolled) for name, rolled in rollouts.items()}
-            true = start.state.moved(*(value.to(module.device) for value in start.truth[step]))
-            others = {} if known else {**baselines.after(step, true), "truth": true}
-            suite.update(index, step, {**states, **others}, true, start.state)
-            bar.update()
+
+def _time_step(trainer: Trainer) -> float:
+    """Return the time step of the data, s."""
+    data: Any = trainer.datamodule  # type: ignore[attr-defined]
+    return float(data.time_step)

@@ -26,7 +26,6 @@ from callbacks import (
     RolloutMetrics,
     RolloutPicture,
     RolloutProgress,
-    RolloutTable,
     TrajectoryWriter,
 )
 from datamodules import SPHDataModule
@@ -98,7 +97,7 @@ def fit(root: Path, folder: Path, processes: int) -> None:
         callbacks=[
             # To validate there is one simulation: one process of two has no rollout.
             OneStepTable(), RolloutMetrics(steps=2, simulations=None, every_n_validations=1),
-            RolloutProgress(), TrajectoryWriter(), RolloutTable(), RolloutPicture(),
+            RolloutProgress(), TrajectoryWriter(), RolloutPicture(),
             Ablation("target", AccelerationTarget(), "acceleration"), GlobalFeaturePermutation(),
         ],
     )  # fmt: skip

@@ -27,7 +27,7 @@ assert lightning
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of the front door: an ablation, validated, tested, rolled out."""
+    """A run of the command line: an ablation, validated, tested, rolled out."""
     there = tmp_path_factory.mktemp("tensorboard")
     configs = (ROOT / "configs" / name for name in ("ablation/global_feature.yaml",))
     data = ROOT / "configs" / "data" / "sample.yaml"
@@ -170,7 +170,7 @@ def test_the_parts_of_a_step_make_it_up(events: EventAccumulator) -> None:
 
 
 def test_the_mesh_is_what_the_trajectory_file_has(events: EventAccumulator, folder: Path) -> None:
-    (path,) = (folder / "rollouts").glob("*.vtkhdf")
+    (path,) = (folder / "results" / "dam_break" / "rollouts").glob("*.vtkhdf")
     tag = "rollout_3d/truth_and_prediction"
     points, paint = events.Tensors(f"{tag}_VERTEX"), events.Tensors(f"{tag}_COLOR")
     steps = [event.step for event in points]

@@ -13,7 +13,7 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.util.tensor_util import make_ndarray
 
-from callbacks import RolloutMesh, TrajectoryWriter
+from callbacks import RolloutMesh
 from datamodules import SPHDataModule
 from fluidsnet import FluidsNet
 from fluidsnet.errors import UserError
@@ -69,7 +69,7 @@ def rolled_out(sample: Path, folder: Path, mesh: RolloutMesh, **blocks: Any) -> 
         logger=TensorBoardLogger(folder, name="run", version=""),
         enable_progress_bar=False,
         enable_model_summary=False,
-        callbacks=[TrajectoryWriter(), mesh],
+        callbacks=[mesh],
     ).predict(model, source)
     return EventAccumulator(str(folder / "run"), size_guidance={"tensors": 0}).Reload()
 

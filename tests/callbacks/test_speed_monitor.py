@@ -107,5 +107,5 @@ def test_a_step_may_be_several_batches(sample: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("callback", [SpeedMonitor, HyperParameters, LossChart])
 def test_another_module_is_refused(callback: type[Callback]) -> None:
-    with pytest.raises(UserError, match="of FluidsNet alone"):
+    with pytest.raises(UserError, match="needs the model FluidsNet"):
         callback().setup(Trainer(logger=False), LightningModule(), "fit")

@@ -1,4 +1,4 @@
-"""Every metric of a rollout, of models and of all they are judged beside."""
+"""All rollout metrics, for the models and the baselines."""
 
 from __future__ import annotations
 
@@ -10,37 +10,37 @@ import torch
 from torch import Tensor
 
 from fluidsnet.baselines import Baselines
-from fluidsnet.metrics.center_of_mass import CenterOfMass
-from fluidsnet.metrics.chamfer import Chamfer
-from fluidsnet.metrics.density import Density
-from fluidsnet.metrics.density_error import DensityError
-from fluidsnet.metrics.escaped import Escaped
-from fluidsnet.metrics.kinetic_energy import KineticEnergy
-from fluidsnet.metrics.mse_n import MSEn
-from fluidsnet.metrics.non_finite import NonFinite
-from fluidsnet.metrics.rollout_metric import RolloutMetric
-from fluidsnet.metrics.rollout_position_error import RolloutPositionError
-from fluidsnet.metrics.rollout_velocity_mse import RolloutVelocityMSE
-from fluidsnet.metrics.sinkhorn import Sinkhorn
+from fluidsnet.metrics.base import RolloutMetric
+from fluidsnet.metrics.density import Density, DensityError
+from fluidsnet.metrics.point_clouds import Chamfer, Sinkhorn
+from fluidsnet.metrics.positions import (
+    CenterOfMass,
+    Escaped,
+    MSEn,
+    NonFinite,
+    RolloutPositionError,
+)
+from fluidsnet.metrics.velocities import KineticEnergy, RolloutVelocityMSE
 from fluidsnet.particles import Particles
 
-#: Beside whom models are measured: the truth only where it has a figure of its own.
-BESIDE = (*Baselines.names, "truth")
+#: Baselines by name. The truth is one for the metrics that have a value of it.
+BASELINES = (*Baselines.names, "truth")
 
-#: By predictor, by the metric's name, (S,) means after 1, 2, … S steps.
-Figures = dict[str, dict[str, Tensor]]
+#: Metric values by predictor and name of the metric: (S,) means after 1, 2, … S steps, but for
+#: `non_finite_step` (R,), see `NonFinite`.
+RolloutResults = dict[str, dict[str, Tensor]]
 
 
 @final
 class RolloutSuite:
-    """The metrics of R rollouts.
+    """All metrics of R rollouts.
 
     Args:
-        simulations: which simulation each rollout is of.
-        steps: S of the longest.
-        costly_steps: after which the costly metrics are taken, from 1; the others always are.
-        device: of the states.
-        models: names of those that are rolled out.
+        simulations: Number of the simulation of each rollout.
+        steps: S, number of steps of the longest rollout.
+        costly_steps: Steps after which the costly metrics are measured, counted from 1.
+        device: Device of the states.
+        models: Names of the models that are rolled out.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class RolloutSuite:
         self.costly_steps = frozenset(costly_steps)
         density = Density()
         self.metrics: dict[str, list[RolloutMetric]] = {}
-        for predictor in (*models, *BESIDE):
+        for predictor in (*models, *BASELINES):
             metrics: list[RolloutMetric] = [
                 RolloutPositionError(simulations, steps),
                 MSEn(simulations, steps),
@@ -79,28 +79,28 @@ class RolloutSuite:
         true: Particles,
         start: Particles,
     ) -> None:
-        """Measures the states after a step.
+        """Measure the states after a step.
 
         Args:
-            rollout: which of the R.
-            step: counted from 1.
-            states: by predictor; who is left out is not measured.
-            true: the true state then.
-            start: the state that they started from.
+            rollout: Index of the rollout, below R.
+            step: Number of the step, counted from 1.
+            states: State of each predictor to measure.
+            true: True state after the step.
+            start: State that the rollout started from.
         """
         for predictor, state in states.items():
             for metric in self.metrics[predictor]:
                 if step in self.costly_steps or not metric.costly:
                     metric.update(rollout, step, state, true, start)
 
-    def compute(self) -> Figures:
-        """The means, over all processes, on the CPU."""
+    def compute(self) -> RolloutResults:
+        """Return the means over the rollouts of all processes, on the CPU."""
         with warnings.catch_warnings():
             # A process may have had no rollout to measure.
             warnings.filterwarnings("ignore", ".*was called before the ``update`` method.*")
             return {
                 predictor: {
-                    # A single number is a scalar to torchmetrics.
+                    # torchmetrics turns a tensor of one value into a scalar.
                     name: values.reshape(-1).cpu()
                     for metric in metrics
                     for name, values in metric.compute().items()
@@ -109,6 +109,6 @@ class RolloutSuite:
             }
 
     def forget(self, predictor: str) -> None:
-        """Drops what was measured of one of them."""
+        """Reset the metrics of one predictor."""
         for metric in self.metrics[predictor]:
             metric.reset()
