@@ -205,13 +205,13 @@ class SPHDataModule(LightningDataModule):
 
         Args:
             split: `val` or `test`.
-            frames: As for `HDF5RolloutStarts`, as are the rest.
+            frames: Where rollouts start, as for `HDF5RolloutStarts`.
             steps: Number of steps of each rollout; by default up to the last true state.
             simulations: Number of simulations, from the first in the file; all by default.
             beyond_truth: Keep `steps` where the true states end earlier.
 
         Raises:
-            UserError: no rollout can start there.
+            UserError: a rollout cannot start at one of the frames.
         """
         return HDF5RolloutStarts(
             self._reader(split), self.stride, frames, steps, simulations, beyond_truth
@@ -261,7 +261,7 @@ class SPHDataModule(LightningDataModule):
             raise UserError(
                 f"{self.root}: no sample for {split}: no simulation has "
                 f"{self._steps(split) * self.stride + 1} frames (steps x data.stride + 1) "
-                f"within data.frame_range {self.frame_range}."
+                f"within data.frame_range {self.frame_range}; lower the stride or widen the range."
             )
         return self._samples[split]
 

@@ -47,7 +47,14 @@ class FluidsNetCLI(LightningCLI):
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         # Read by `with_base`; the parser only has to know that configs may have it.
         parser.add_argument("--base", type=list[str] | None, default=None, help=SUPPRESS)
-        parser.link_arguments("data.grid_shape", "model.init_args.cells", apply_on="instantiate")
+        shape = "grid_shape"
+        parser.link_arguments(f"data.{shape}", f"model.init_args.{shape}", apply_on="instantiate")
+
+    def _parse_ckpt_path(self) -> None:
+        """Leave the configuration as given; the module checks that the checkpoint matches it.
+
+        Lightning would replace ``--model`` options by the checkpoint's hyperparameters.
+        """
 
 
 def _ours(error: BaseException | None) -> UserError | None:

@@ -1,4 +1,4 @@
-"""Batches of particles: joined field by field, and refused where they do not fit."""
+"""Tests of the collation of batches, and of what it refuses."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ class Recipe:
 
     Attributes:
         scene: Kind of scene, which draws the fluid.
-        particle_radius: m.
+        particle_radius: Half the spacing of the particles, m.
         train: Number of simulations for training.
         val: Number of simulations for validation.
         test: Number of simulations for the test.
@@ -33,7 +33,7 @@ class Recipe:
         solver_step: Fixed time step of the solver, s; 2.5 ms by default, 0.5 ms for WCSPH.
         solver: IISPH (the paper's), WCSPH, PCISPH or DFSPH.
         seed: Seed of the data set; with split and number it seeds each simulation.
-        gravity: m/s².
+        gravity: Acceleration of gravity, m/s².
         density0: Rest density, kg/m³.
         viscosity: Coefficient of the solver's standard viscosity.
         solver_parameters: Parameters of the pressure solver, under SPlisHSPlasH's names.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -88,7 +89,10 @@ def build(config: Path, grid_shape: GridShape) -> FluidsNet:
         options = parser.parse_object(
             {"model": {**described, "init_args": {**settings, "grid_shape": list(grid_shape)}}}
         )
-        module: FluidsNet = parser.instantiate(options).model
+        with warnings.catch_warnings():
+            # Blocks are modules; hyperparameters keep their descriptions.
+            warnings.filterwarnings("ignore", ".*is already saved during checkpointing.*")
+            module: FluidsNet = parser.instantiate(options).model
     except (ValueError, TypeError) as error:
         raise UserError(f"{config} does not describe a FluidsNet: {error}") from error
     return module

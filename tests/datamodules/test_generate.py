@@ -1,4 +1,4 @@
-"""Data made by the real solver, in tiny scenes."""
+"""Tests of the data generator, with the real solver in tiny scenes."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ f 1 4 6
 
 @dataclass(frozen=True)
 class Simulation:
-    """One group of a file, in memory."""
+    """Group of a file, in memory."""
 
     header: Header
     position: NDArray[np.float32]
@@ -89,7 +89,7 @@ def read(path: Path) -> list[Simulation]:
 
 
 def by_place(position: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points in an order of their own."""
+    """Return the points sorted by coordinates."""
     rounded = np.round(position.astype(np.float64), 5)
     return rounded[np.lexsort(rounded.T)]
 
@@ -257,7 +257,7 @@ def test_a_mesh_may_be_the_drop(tmp_path: Path) -> None:
 
 
 class Spoiled(DamBreak):
-    """A dam break of which some have an octahedron with a hole in it."""
+    """Dam break in which some simulations have an octahedron with a hole in it."""
 
     def __init__(self, mesh: Path, always: bool = False) -> None:
         super().__init__(DOMAIN)
@@ -426,7 +426,7 @@ class FakeSolver:
 
 @pytest.fixture
 def recorder(tmp_path: Path) -> Any:
-    """A recorder of frames of four steps of 2.5 ms, its solver and its reports."""
+    """Return a recorder of frames of four steps of 2.5 ms, and its solver."""
     solver = FakeSolver()
     read_end, write_end = os.pipe()
     with h5py.File(tmp_path / "part.h5", "w") as file:

@@ -1,4 +1,4 @@
-"""What is said of a data file, and of one that is spoiled."""
+"""Tests of `fluidsnet inspect` on valid and on damaged files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def copy(sample: Path, tmp_path: Path) -> Path:
 
 
 def row(text: str, name: str) -> list[str]:
-    """The columns of a simulation in a report."""
+    """Return the columns of a simulation in a summary."""
     (line,) = [line for line in text.splitlines() if line.split()[:1] == [name]]
     return line.split()
 

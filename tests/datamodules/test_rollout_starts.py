@@ -1,4 +1,4 @@
-"""Rollouts start at any frame, and their truth with them."""
+"""Tests of rollout starts and their true states."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What makes a data file valid, and what is said of one that is not."""
+"""Tests of the file format and its error messages."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Spoil = Callable[[h5py.File], None]
 
 
 def sentence(path: Path) -> str:
-    """What is said of a file that is not valid: one sentence that names it."""
+    """Return the error message of an invalid file: one sentence that names the file."""
     with pytest.raises(UserError) as caught:
         validate(path)
     words = str(caught.value)

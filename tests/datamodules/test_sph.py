@@ -1,4 +1,4 @@
-"""The data module: which samples, which frames, which statistics."""
+"""Tests of the data module: samples, frames, statistics, identity."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ FIELDS += ("drift_deviation",)
 
 @pytest.fixture
 def small(write_file: Write) -> Path:
-    """Three files; simulations of different lengths and numbers of particles."""
+    """Write three files with simulations of different lengths and numbers of particles."""
     write_file("val.h5", (9, 4, 2), seed=1)
     write_file("test.h5", (11, 3, 2), (6, 5, 4), seed=2)
     return write_file("train.h5", (12, 5, 3), (10, 7, 4), seed=0).parent
