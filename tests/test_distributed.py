@@ -72,7 +72,7 @@ def test_two_processes_measure_every_frame_once(folders: tuple[Path, Path]) -> N
 
 def test_fewer_samples_than_processes_are_refused(folders: tuple[Path, Path]) -> None:
     said = torch.load(folders[1] / "process_0.pt")["refusal"]
-    assert said.startswith("There are 2 processes for 1 samples or simulations")
+    assert said.startswith("There are 2 processes and only 1 samples or simulations")
 
 
 @pytest.mark.parametrize(
