@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any, final
+from typing import Any, SupportsFloat, final
 
 import h5py
 import torch
@@ -132,3 +132,34 @@ class FrameReader:
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_handle": None, "_process": -1}
+
+
+def read_state(
+    path: str | Path, time_step: SupportsFloat, frame: int = 0, simulation: str | None = None
+) -> Particles:
+    """Read one frame of a data file as a state that a model can step.
+
+    Args:
+        path: Path of a data file, such as data/demo/test.h5.
+        time_step: Time step of the model, s (`Model.time_step`).
+        frame: Number of the frame.
+        simulation: Name of the simulation, such as "00000"; the first by default.
+
+    Raises:
+        UserError: the file cannot be read, the frame is not there, or the time step is not a
+            multiple of the file's frame interval.
+    """
+    reader = FrameReader(Path(path))
+    name = next(iter(reader.frames)) if simulation is None else simulation
+    if not 0 <= frame < reader.frames.get(name, 0):
+        raise UserError(f"{path}: there is no frame {frame} of /{name}.")
+    interval, step = reader.header.dt, float(time_step)
+    stride = round(step / interval)
+    if stride < 1 or abs(stride * interval - step) > 1e-6 * step:
+        raise UserError(
+            f"{path}: a time step of {step:g} s is no multiple of the frame interval, "
+            f"{interval:g} s."
+        )
+    state = reader.state(name, frame, reader.scene(stride))
+    reader.close()
+    return state

@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from functools import partial
-from types import FunctionType
+from types import FunctionType, UnionType
 from typing import TYPE_CHECKING, Any, Union, final, get_args, get_origin, get_type_hints
 
 import torch
@@ -177,7 +177,9 @@ def can_be(name: str, value: Any) -> bool:
     """
     if value is None:
         return name in _OPTIONAL
-    for kind in (get_origin(of) or of for of in get_args(_TYPES[name]) or (_TYPES[name],)):
+    hint = _TYPES[name]
+    for kind in get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,):
+        kind = get_origin(kind) or kind
         if kind is Callable:
             # Blocks can be called, too.
             if isinstance(value, type | partial | FunctionType):

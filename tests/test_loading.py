@@ -13,7 +13,7 @@ from test_module import data, trainer
 
 import fluidsnet
 from callbacks import Ablation
-from datamodules.reader import FrameReader
+from datamodules import read_state
 from fluidsnet import FluidsNet
 from fluidsnet.checkpoint_migration import migrate
 from fluidsnet.errors import UserError
@@ -27,10 +27,7 @@ OLD = Path(__file__).parent / "data" / "old_run"
 
 
 def state(sample: Path, device: torch.device) -> Particles:
-    reader = FrameReader(sample / "test.h5")
-    found = reader.state("00000", 5, reader.scene(1)).to(device)
-    reader.close()
-    return found
+    return read_state(sample / "test.h5", 0.02, frame=5).to(device)
 
 
 @torch.no_grad()
@@ -65,7 +62,7 @@ def test_an_old_training_with_twins_is_resumed(sample: Path, tmp_path: Path) -> 
     for name in ("model", "acceleration", "no_global_feature"):
         prefix = "" if name == "model" else f"twins.{name}."
         bias = before["state_dict"][f"{prefix}network.head.0.bias"]
-        now = module.named_models()[name].network.head[0].bias.cpu()
+        now = module.named_models()[name].state_dict()["network.head.0.bias"].cpu()
         assert 0 < float((now - bias).abs().max()) < 0.1
 
 
@@ -91,3 +88,13 @@ def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(UserError, match="made with the target VelocityTarget"):
         fluidsnet.load(tmp_path)
+
+
+def test_a_state_that_a_model_cannot_step_is_refused(sample: Path) -> None:
+    assert read_state(sample / "test.h5", 0.04).scene.time_step == pytest.approx(0.04)
+    with pytest.raises(UserError, match=r"0.03 s is no multiple of the frame interval, 0.02 s"):
+        read_state(sample / "test.h5", 0.03)
+    with pytest.raises(UserError, match="no frame 0 of /7"):
+        read_state(sample / "test.h5", 0.02, simulation="7")
+    with pytest.raises(UserError, match="no frame 1000 of"):
+        read_state(sample / "test.h5", 0.02, frame=1000)

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from fluidsnet.report.events import RATE, TRAINED, Curve
-from fluidsnet.report.grid import Grid
 from fluidsnet.report.run import ROLLED, Run, read_runs
 from fluidsnet.reporting.table import Cell
 from fluidsnet.studies.ablations.trained_run import TrainedRun
@@ -107,20 +106,20 @@ class Numbers:
         grid = self.run.tables.get(start)
         if grid is None:
             return []
-        if not {"steps", "time s"} <= set(grid.header):
+        if not {"steps", "time s"} <= set(grid.columns):
             return [None]
         return [
             (steps, float(time))
             if isinstance(steps, int) and not isinstance(time, str) and steps > 0 and time > 0
             else None
-            for steps, time in zip(grid.column("steps"), grid.column("time s"), strict=True)
+            for steps, time in zip(grid["steps"], grid["time s"], strict=True)
         ]
 
     def _find(self, table: str, row: dict[str, Cell], column: str) -> float | None:
         grid = self.run.tables.get(table)
-        if grid is None or not {*row, column} <= set(grid.header):
+        if grid is None or not {*row, column} <= set(grid.columns):
             return None
-        found = (cells[column] for cells in _rows(grid) if row.items() <= cells.items())
+        found = (it[column] for it in grid.to_dict("records") if row.items() <= it.items())
         cell = next(found, "")
         # An empty cell is what was not measured.
         return None if isinstance(cell, str) else float(cell)
@@ -148,7 +147,3 @@ def read_numbers(runs: Sequence[TrainedRun]) -> list[Numbers]:
     """
     read = read_runs([run.folder for run in runs]) if runs else []
     return [Numbers(trained, run) for trained, run in zip(runs, read, strict=True)]
-
-
-def _rows(grid: Grid) -> list[dict[str, Cell]]:
-    return [dict(zip(grid.header, row, strict=True)) for row in grid.rows]

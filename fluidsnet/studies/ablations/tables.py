@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from statistics import fmean, median, stdev
 
-from fluidsnet.report.grid import NONE, near, shown
+from fluidsnet.report.tables import NONE, near, shown
 from fluidsnet.reporting.table import Cell, markdown
 from fluidsnet.studies.ablations.comparison import Comparison
 from fluidsnet.studies.ablations.flatness import Flatness, worst
