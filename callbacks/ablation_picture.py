@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 from lightning import Callback, LightningModule, Trainer
 
@@ -54,7 +53,7 @@ class AblationPicture(Callback):
         """Check the module and the data, and look up the folder, all processes together."""
         require_fluidsnet(self, pl_module)
         if stage == "test":
-            require_rollout_starts(self, trainer)
+            self._data = require_rollout_starts(self, trainer)
             self._folder = results_folder(trainer)
 
     def on_test_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
@@ -62,8 +61,7 @@ class AblationPicture(Callback):
         if not trainer.is_global_zero or not is_first(self, trainer):
             return
         module = require_fluidsnet(self, pl_module)
-        data: Any = trainer.datamodule  # type: ignore[attr-defined]
-        starts: RolloutStarts = data.rollout_starts("test", [0], None, 1)
+        starts: RolloutStarts = self._data.rollout_starts("test", [0], None, 1)
         start = starts[0].to(module.device)
         steps = [round(share * start.steps) for share in self.times]
         models = module.named_models()

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Literal
 
 import torch
 from lightning import Callback, LightningModule, Trainer
 
 from fluidsnet.errors import UserError
-from fluidsnet.metrics.suite import RolloutResults, RolloutSuite
+from fluidsnet.metrics.suite import BASELINES, RolloutResults, RolloutSuite, rollout_suite
 from fluidsnet.module import FluidsNet
 from fluidsnet.particles import Particles, RolloutStart, RolloutStarts
 from fluidsnet.progress import Progress
@@ -37,17 +38,13 @@ class RolloutMetrics(Callback, ChartSource, RolloutObserver):
     must come before callbacks that swap weights for validation, to measure the swapped weights.
 
     In `test` the groups are `test_rollout/`, `test_rollout_predictors/` and
-    `ablation_test_rollout/`. `rollout_metrics.md` and `.csv` have a row for each predictor and
-    number of steps; `rollout_metrics.png`, also in TensorBoard, has errors and energies against
-    time.
+    `ablation_test_rollout/`. The table `rollout_metrics.md` and `.csv` has a row for each
+    predictor and number of steps, with the number of simulations that are that long; a rollout
+    that becomes non-finite counts as infinite from there on, and is named. `rollout_metrics.png`,
+    also in TensorBoard, has errors and energies against time.
 
-    In `predict` the first callback of this class measures the rollouts of `predict`, from the
-    start to the truth's end, and writes `rollout_metrics_predict.md` and `.csv`. Without a truth
-    there is no table.
-
-    In validation and test a rollout ends after `steps` or with its truth. The table has the number
-    of simulations left. A rollout that becomes non-finite counts as infinite from there on, and
-    the table names it and the step.
+    In `predict` the first callback of this class measures the rollouts of `predict` up to the
+    truth's end, and writes the table `rollout_metrics_predict`; without a truth there is none.
 
     Several callbacks, such as from rest and in motion, need different names: the groups are then
     `rollout_<name>`, `test_rollout_<name>` and so on, the files `rollout_metrics_<name>`.
@@ -125,7 +122,7 @@ class RolloutMetrics(Callback, ChartSource, RolloutObserver):
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
         """Check the module and the data, and look up the folder, all processes together."""
         require_fluidsnet(self, pl_module)
-        require_rollout_starts(self, trainer)
+        self._data = require_rollout_starts(self, trainer)
         self._validations, self._suite = 0, None
         if stage in ("test", "predict"):
             self._folder = results_folder(trainer)
@@ -136,18 +133,10 @@ class RolloutMetrics(Callback, ChartSource, RolloutObserver):
             return {}
         steps = [step for step in CHARTED if self.steps is None or step <= self.steps]
         group = self._named("rollout")
-        if len(module.named_models()) == 1:
-            groups = f"{group}(_predictors)?"
-        else:
-            groups = f"({group}_predictors|ablation_{group})"
-        return {
-            group: {
-                f"position error after {step} steps, mm": [
-                    f"{groups}/position_error_mm/{step}(/|$)"
-                ]
-                for step in steps
-            }
-        }
+        single = len(module.named_models()) == 1
+        groups = f"{group}(_predictors)?" if single else f"({group}_predictors|ablation_{group})"
+        tag = f"{groups}/position_error_mm/{{}}(/|$)"
+        return {group: {f"position error after {n} steps, mm": [tag.format(n)] for n in steps}}
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Write the charts."""
@@ -169,7 +158,7 @@ class RolloutMetrics(Callback, ChartSource, RolloutObserver):
         if trainer.state.fn == "fit" and self._validations % self.every_n_validations:
             return
         module = require_fluidsnet(self, pl_module)
-        scalars = rollout_scalars(self._measure(trainer, module, "val")[1])
+        scalars = rollout_scalars(self._measure(trainer, module, "val"))
         group = self._named("rollout")
         tagged = {f"{group}/{name}": value for name, value in scalars["model"].items()}
         # All processes have the same values; Lightning warns without the mean.
@@ -179,32 +168,33 @@ class RolloutMetrics(Callback, ChartSource, RolloutObserver):
     def on_test_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Roll out, log, and write the table and the picture."""
         module = require_fluidsnet(self, pl_module)
-        starts, results = self._measure(trainer, module, "test")
+        results = self._measure(trainer, module, "test")
         if not trainer.is_global_zero:
             return
         scalars = rollout_scalars(results)
         group = self._named("test_rollout")
         log_scalars(trainer, group, {"": scalars["model"]})
         log_predictors(trainer, module, group, scalars)
-        path, time_step = self._folder / self._named("rollout_metrics"), _time_step(trainer)
-        text = write_rollout_metrics(path, results, starts, time_step)
-        draw_curves(path.with_suffix(".png"), results, time_step, trainer.loggers, group)
-        print(f"{text}\n{path}.md\n{path}.png")
+        path = self._folder / self._named("rollout_metrics")
+        self._write_table(path, results)
+        picture = path.with_suffix(".png")
+        draw_curves(picture, results, self._data.time_step, trainer.loggers, group)
+        print(picture)
 
     def on_predict_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Start a suite for the rollouts of `predict`."""
         self._suite = None
         if is_first(self, trainer):
             loader: Any = trainer.predict_dataloaders
-            self._start_suite(loader.dataset, ("model",), pl_module.device)
+            self._starts = loader.dataset
+            self._suite = rollout_suite(self._starts, self.costly_steps, pl_module.device)
 
     def on_rollout_step(
         self, start: RolloutStart, step: int, states: Mapping[str, Particles]
     ) -> None:
-        """Measure a step of a rollout, if it has a truth."""
-        if self._suite is not None and "truth" in states:
-            index = self._rollouts.index((start.name, start.first))
-            self._suite.update(index, step, states, states["truth"], start.state)
+        """Measure a step of a rollout that has a truth."""
+        if "truth" in states:
+            self._update(start, step, states, states["truth"])
 
     def on_predict_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Write the table."""
@@ -213,41 +203,42 @@ class RolloutMetrics(Callback, ChartSource, RolloutObserver):
         results = self._suite.compute() if self._suite else None
         if not trainer.is_global_zero:
             return
-        if results is None or not results["model"]["simulations"].any():
+        if results is not None and results["model"]["simulations"].any():
+            self._write_table(self._folder / "rollout_metrics_predict", results)
+        else:
             print("No state of the rollouts has a truth: there is no table of rollout metrics.")
-            return
-        loader: Any = trainer.predict_dataloaders
-        path = self._folder / "rollout_metrics_predict"
-        text = write_rollout_metrics(path, results, loader.dataset, _time_step(trainer))
-        print(f"{text}\n{path}.md")
 
     def _named(self, prefix: str) -> str:
         return f"{prefix}_{self.name}" if self.name else prefix
 
-    def _start_suite(
-        self, starts: RolloutStarts, models: Sequence[str], device: torch.device
+    def _write_table(self, path: Path, results: RolloutResults) -> None:
+        """Write and print the table."""
+        time_step = self._data.time_step
+        print(write_rollout_metrics(path, results, self._starts, time_step), f"{path}.md", sep="\n")
+
+    def _update(
+        self, start: RolloutStart, step: int, states: Mapping[str, Particles], true: Particles
     ) -> None:
-        """Make a suite for the steps that have a truth, if there is one."""
-        self._rollouts = list(zip(starts.names, starts.first, strict=True))
-        longest = max(starts.known_steps)
-        if longest > 0:
-            simulations = [starts.names.index(name) for name in starts.names]
-            costly_steps = {*self.costly_steps, longest}
-            self._suite = RolloutSuite(simulations, longest, costly_steps, device, models)
+        if self._suite is not None:
+            rollouts = list(zip(self._starts.names, self._starts.first, strict=True))
+            index = rollouts.index((start.name, start.first))
+            self._suite.update(index, step, states, true, start.state)
 
     @torch.no_grad()
     def _measure(
         self, trainer: Trainer, module: FluidsNet, split: Literal["val", "test"]
-    ) -> tuple[RolloutStarts, RolloutResults]:
-        data: Any = trainer.datamodule  # type: ignore[attr-defined]
-        starts: RolloutStarts = data.rollout_starts(
+    ) -> RolloutResults:
+        """Roll out all models from the starts of a split."""
+        starts: RolloutStarts = self._data.rollout_starts(
             split, self.starts, self.steps, self.simulations
         )
-        models = module.named_models()
-        # An earlier validation has measured the baselines, which do not change.
-        names = None if self._suite is None else {*models, "truth"}
+        models = list(module.named_models())
+        names = models
         if self._suite is None:
-            self._start_suite(starts, list(models), module.device)
+            # Baselines do not change and are measured once.
+            names = [*models, *BASELINES]
+            self._starts = starts
+            self._suite = rollout_suite(starts, self.costly_steps, module.device, models)
         assert self._suite is not None
         for name in models:
             self._suite.forget(name)
@@ -262,14 +253,8 @@ class RolloutMetrics(Callback, ChartSource, RolloutObserver):
         for index in indices:
             start = starts[index].to(module.device)
             for step, states in enumerate(roll_out(trainer, module, start), start=1):
-                measured = {n: state for n, state in states.items() if names is None or n in names}
-                self.on_rollout_step(start, step, measured)
+                measured = {name: states[name] for name in names}
+                self._update(start, step, measured, states["truth"])
                 bar.update()
         bar.close()
-        return starts, self._suite.compute()
-
-
-def _time_step(trainer: Trainer) -> float:
-    """Return the time step of the data, s."""
-    data: Any = trainer.datamodule  # type: ignore[attr-defined]
-    return float(data.time_step)
+        return self._suite.compute()

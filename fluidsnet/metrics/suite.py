@@ -21,7 +21,7 @@ from fluidsnet.metrics.positions import (
     RolloutPositionError,
 )
 from fluidsnet.metrics.velocities import KineticEnergy, RolloutVelocityMSE
-from fluidsnet.particles import Particles
+from fluidsnet.particles import Particles, RolloutStarts
 
 #: Baselines by name. The truth is one for the metrics that have a value of it.
 BASELINES = (*Baselines.names, "truth")
@@ -112,3 +112,24 @@ class RolloutSuite:
         """Reset the metrics of one predictor."""
         for metric in self.metrics[predictor]:
             metric.reset()
+
+
+def rollout_suite(
+    starts: RolloutStarts,
+    costly_steps: Collection[int],
+    device: torch.device,
+    models: Sequence[str] = ("model",),
+) -> RolloutSuite | None:
+    """Return a suite for the steps that have a true state; None if there are none.
+
+    Args:
+        starts: Starts of the rollouts.
+        costly_steps: As for `RolloutSuite`; the last step is added.
+        device: Device of the states.
+        models: Names of the models that are rolled out.
+    """
+    longest = max(starts.known_steps)
+    if longest == 0:
+        return None
+    simulations = [starts.names.index(name) for name in starts.names]
+    return RolloutSuite(simulations, longest, {*costly_steps, longest}, device, models)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from lightning import Callback, LightningModule, Trainer
 
 from fluidsnet.errors import UserError
@@ -22,17 +24,19 @@ def require_fluidsnet(callback: Callback, module: LightningModule) -> FluidsNet:
     return module
 
 
-def require_rollout_starts(callback: Callback, trainer: Trainer) -> None:
-    """Check that the data module has rollout starts.
+def require_rollout_starts(callback: Callback, trainer: Trainer) -> Any:
+    """Return the data module.
 
     Raises:
-        UserError: it has none.
+        UserError: it has no rollout starts.
     """
-    if not hasattr(getattr(trainer, "datamodule", None), "rollout_starts"):
+    data: Any = getattr(trainer, "datamodule", None)
+    if not hasattr(data, "rollout_starts"):
         raise UserError(
             f"The callback {type(callback).__name__} needs a data module with rollout_starts, such "
             "as SPHDataModule."
         )
+    return data
 
 
 def is_first(callback: Callback, trainer: Trainer) -> bool:
