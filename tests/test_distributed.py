@@ -1,4 +1,4 @@
-"""Several processes train, measure and roll out as one would."""
+"""Tests that several processes train, measure and roll out as one process does."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RESULTS = Path("run") / "results" / "data"
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """What `shared_fit` leaves with one process and with two."""
+    """Return the folders that `shared_fit` writes with one process and with two."""
     folder = tmp_path_factory.mktemp("processes")
     data, one, two = (folder / name for name in ("data", "one", "two"))
     for path in (data, one, two):

@@ -1,4 +1,4 @@
-"""Mixed precision, accumulated gradients, and what a step searches and moves."""
+"""Tests of mixed precision, accumulated gradients, and the searches of a training step."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Make = Callable[..., Particles]
 
 
 class Watched(FluidsNet):
-    """Keeps the losses of all steps."""
+    """FluidsNet that keeps the losses of all steps."""
 
     def on_train_start(self) -> None:
         self.losses: list[float] = []
@@ -120,7 +120,7 @@ def test_two_accumulated_batches_are_one_of_twice_the_size(sample: Path, tmp_pat
 
 
 class Counting(BruteForce):
-    """Counts its searches."""
+    """Neighbor search that counts its calls."""
 
     calls = 0
 

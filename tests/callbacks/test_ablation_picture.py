@@ -1,4 +1,4 @@
-"""The picture of an ablation: whose states, when, and what is not finite."""
+"""Tests of the picture of an ablation: states, times, non-finite particles."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def pixels(path: Path) -> Pixels:
 
 
 def crops(path: Path, rows: int, columns: int) -> list[list[Pixels]]:
-    """The panels of a picture, without their titles and the color bar."""
+    """Return the panels of a picture without titles and color bar."""
     picture = pixels(path)
     down, across = (picture.shape[0] - 24) // rows, (picture.shape[1] - 110) // columns
     return [
@@ -79,13 +79,13 @@ def crops(path: Path, rows: int, columns: int) -> list[list[Pixels]]:
 
 
 def fluid(crop: Pixels) -> int:
-    """How many pixels have a particle: more blue than any line or background."""
+    """Return the number of pixels of particles, which are bluer than lines and background."""
     return int((crop[..., 2] > 160).sum())
 
 
 @pytest.fixture
 def drawn(monkeypatch: pytest.MonkeyPatch) -> Drawn:
-    """What the renderer is given, picture after picture; it draws all the same."""
+    """Record the arguments of the renderer, which draws as usual."""
     found: Drawn = []
     draw = rollout_frames.side_by_side
 
@@ -98,7 +98,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> Drawn:
 
 
 class Breaks(Integrator):
-    """At a call, some or all of the particles are lost."""
+    """Integrator that sets a share of the particles to NaN in one of the network's steps."""
 
     def __init__(self, call: int, share: float) -> None:
         self.call, self.share, self.calls = call, share, 0

@@ -1,4 +1,4 @@
-"""Files of `test` and `predict`: with and without a truth, in any order, on several data sets."""
+"""Tests of the files of `test` and `predict`: order, missing truth, several data sets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rollouts in validation and test: when, from where, and what is left behind."""
+"""Tests of rollout metrics in validation and test."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def trained(source: SPHDataModule, **changes: Any) -> FluidsNet:
 
 
 class BlowsUp(Integrator):
-    """Breaks in the third of the network's steps, and leaves the truth's alone."""
+    """Integrator that gives NaN in the third of the network's steps."""
 
     def __init__(self) -> None:
         self.calls = 0
@@ -204,7 +204,7 @@ def test_arguments_that_cannot_be_used(arguments: dict[str, Any], words: str) ->
 
 
 def test_those_with_a_name_measure_apart(sample: Path, tmp_path: Path) -> None:
-    """From rest and in motion, each as it would be alone."""
+    """Each callback gives the results that it gives alone."""
     source = data(sample)
     changes: dict[str, Any] = {"steps": 3, "every_n_validations": 2}
     both = (RolloutMetrics(**changes), RolloutMetrics(starts=[0.5], name="late", **changes))
@@ -270,7 +270,7 @@ def test_none_is_measured_where_none_is_asked_for(sample: Path, tmp_path: Path) 
 
 
 def test_models_side_by_side_are_rolled_out_each(sample: Path, tmp_path: Path) -> None:
-    """Each is measured as it would be alone, and logged beside the others."""
+    """Each model gives the results that it gives alone."""
     source = data(sample)
     callbacks = (
         Ablation("target", AccelerationTarget(), "acceleration"),

@@ -1,4 +1,4 @@
-"""The picture of a rollout beside its truth."""
+"""Test of the arguments of RolloutPicture; test_predict_results.py has the pictures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Field data of the trajectory files: errors of model and baselines by hand."""
+"""Tests of the field data of trajectory files against cases by hand."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ Make = Callable[..., Particles]
 
 
 def _numbers(particles: Particles, *numbers: int) -> torch.Tensor:
-    """Which simulation each frame is of; all of one by default."""
+    """Return the number of the simulation of each frame; all of one by default."""
     return torch.tensor(numbers or (0,) * particles.frames, device=particles.position.device)
 
 

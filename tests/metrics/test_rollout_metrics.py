@@ -1,4 +1,4 @@
-"""The metrics of rollouts: each against a case by hand and, where there is one, a known package."""
+"""Tests of rollout metrics against cases by hand and against SciPy and POT."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ METRICS: tuple[type[RolloutMetric], ...] = (
 def measured(
     kind: type[RolloutMetric], start: Particles, *states: tuple[Particles, Particles]
 ) -> list[list[float]]:
-    """What a metric says after each step, of predicted and true states."""
+    """Return the results of a metric after each step, for pairs of predicted and true states."""
     metric = kind([0], len(states)).to(start.position.device)
     for step, (predicted, true) in enumerate(states, start=1):
         metric.update(0, step, predicted, true, start)
