@@ -84,30 +84,20 @@ class RolloutMetrics(Callback, ChartSource, RolloutObserver):
         costly_steps: Sequence[int] = (25, 50, 100),
         name: str = "",
     ) -> None:
-        for argument, value, least in (
-            ("steps", 1 if steps is None else steps, 1),
-            ("simulations", 1 if simulations is None else simulations, 1),
-            ("every_n_validations", every_n_validations, 0),
+        positive, not_negative = "it must be at least 1", "it must be at least 0"
+        frames = "give at least one: whole numbers are frames, fractions below 1 are shares"
+        letters = "it is taken or has characters other than lower-case letters, digits and _"
+        free = name != "predict" and not name.endswith("predictors")
+        for argument, value, valid, rule in (
+            ("steps", steps, steps is None or steps > 0, positive),
+            ("simulations", simulations, simulations is None or simulations > 0, positive),
+            ("every_n_validations", every_n_validations, every_n_validations >= 0, not_negative),
+            ("starts", list(starts), starts and all(map(_is_start, starts)), frames),
+            ("costly_steps", list(costly_steps), all(n > 0 for n in costly_steps), positive),
+            ("name", repr(name), free and re.fullmatch("([a-z][a-z0-9_]*)?", name), letters),
         ):
-            if value < least:
-                raise UserError(
-                    f"RolloutMetrics: {argument} is {value}; it must be at least {least}."
-                )
-        if not starts or not all(s >= 0 if isinstance(s, int) else 0 <= s < 1 for s in starts):
-            raise UserError(
-                f"RolloutMetrics: starts is {list(starts)}; give at least one: whole numbers are "
-                "frames, fractions from 0.0 to below 1 are shares of a simulation."
-            )
-        if any(step < 1 for step in costly_steps):
-            raise UserError(
-                f"RolloutMetrics: costly_steps is {list(costly_steps)}; the first step is 1."
-            )
-        taken = name == "predict" or name.endswith("predictors")
-        if not re.fullmatch("([a-z][a-z0-9_]*)?", name) or taken:
-            raise UserError(
-                f"RolloutMetrics: the name {name!r} is taken or has characters other than "
-                "lower-case letters, digits and _; choose another."
-            )
+            if not valid:
+                raise UserError(f"RolloutMetrics: {argument} is {value}; {rule}.")
         self.name = name
         self.steps, self.starts, self.simulations = steps, starts, simulations
         self.every_n_validations, self.costly_steps = every_n_validations, costly_steps
@@ -258,3 +248,7 @@ class RolloutMetrics(Callback, ChartSource, RolloutObserver):
                 bar.update()
         bar.close()
         return self._suite.compute()
+
+
+def _is_start(frame: int | float) -> bool:
+    return frame >= 0 and (isinstance(frame, int) or frame < 1)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 from typing import final
 
 import torch
@@ -52,23 +53,15 @@ class RolloutSuite:
         models: Sequence[str] = ("model",),
     ) -> None:
         self.costly_steps = frozenset(costly_steps)
-        density = Density()
         self.metrics: dict[str, list[RolloutMetric]] = {}
+        kinds: tuple[Callable[..., RolloutMetric], ...] = (
+            *(RolloutPositionError, MSEn, RolloutVelocityMSE, Chamfer, Sinkhorn, KineticEnergy),
+            *(CenterOfMass, partial(DensityError, density=Density()), Escaped, NonFinite),
+        )
         for predictor in (*models, *BASELINES):
-            metrics: list[RolloutMetric] = [
-                RolloutPositionError(simulations, steps),
-                MSEn(simulations, steps),
-                RolloutVelocityMSE(simulations, steps),
-                Chamfer(simulations, steps),
-                Sinkhorn(simulations, steps),
-                KineticEnergy(simulations, steps),
-                CenterOfMass(simulations, steps),
-                DensityError(simulations, steps, density),
-                Escaped(simulations, steps),
-                NonFinite(simulations, steps),
-            ]
+            metrics = [kind(simulations, steps).to(device) for kind in kinds]
             self.metrics[predictor] = [
-                metric.to(device) for metric in metrics if metric.of_truth or predictor != "truth"
+                metric for metric in metrics if metric.of_truth or predictor != "truth"
             ]
 
     def update(

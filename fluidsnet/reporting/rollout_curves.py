@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from fluidsnet.baselines import TRIVIAL_PREDICTORS, Baselines
 from fluidsnet.metrics.suite import RolloutResults
 
 #: Colors of the predictors.
@@ -25,27 +26,13 @@ COLORS = {
 }
 #: Colors of the twins, in their order.
 TWIN_COLORS = ("#2a9d3a", "#8e44ad", "#d6409f", "#0e9aa7")
+_TRIVIAL = tuple(TRIVIAL_PREDICTORS)
 # Name of the metric, label of the axis, predictors, and True for a logarithmic axis.
 _Panel = tuple[str, str, tuple[str, ...], bool]
 _PANELS: tuple[_Panel, ...] = (
-    (
-        "position_error_mm",
-        "position error, mm",
-        ("model", "integrator_floor", "constant_velocity", "ballistic"),
-        True,
-    ),
-    (
-        "kinetic_energy_j_per_kg",
-        "kinetic energy, J/kg",
-        ("truth", "model", "constant_velocity", "ballistic"),
-        False,
-    ),
-    (
-        "center_of_mass",
-        "center of mass, relative error",
-        ("model", "constant_velocity", "ballistic"),
-        True,
-    ),
+    ("position_error_mm", "position error, mm", ("model", *Baselines.names), True),
+    ("kinetic_energy_j_per_kg", "kinetic energy, J/kg", ("truth", "model", *_TRIVIAL), False),
+    ("center_of_mass", "center of mass, relative error", ("model", *_TRIVIAL), True),
 )
 
 

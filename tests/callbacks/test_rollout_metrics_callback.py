@@ -193,9 +193,9 @@ def test_a_rollout_that_blows_up_is_infinite_and_named(
         ({"starts": [1.0]}, r"starts is \[1.0\]"),
         ({"starts": [-1]}, r"starts is \[-1\]"),
         ({"costly_steps": [0]}, r"costly_steps is \[0\]"),
-        ({"name": "In motion"}, "the name 'In motion'"),
-        ({"name": "predictors"}, "the name 'predictors' is taken"),
-        ({"name": "predict"}, "the name 'predict' is taken"),
+        ({"name": "In motion"}, "name is 'In motion'; it is taken or has"),
+        ({"name": "predictors"}, "name is 'predictors'; it is taken"),
+        ({"name": "predict"}, "name is 'predict'; it is taken"),
     ],
 )
 def test_arguments_that_cannot_be_used(arguments: dict[str, Any], words: str) -> None:
