@@ -164,8 +164,9 @@ _OPTIONAL = {"noise"}
 if TYPE_CHECKING:
     Block = Any
 else:
+    # jsonargparse can save a list of widths only if its type is the first of the union.
     #: Type of any block, for configs.
-    Block = Union[tuple(_TYPES.values())]  # noqa: UP007  # made from a tuple
+    Block = Union[(list[int], *_TYPES.values())]
 
 
 def can_be(name: str, value: Any) -> bool:

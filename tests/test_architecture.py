@@ -10,6 +10,9 @@ ROOT = Path(__file__).parents[1]
 #: What may import what: a module may import those of a lower rank, and its own package.
 RANKS = {
     "fluidsnet.cache": 0,
+    "fluidsnet.compile_cache": 0,
+    "fluidsnet.console": 0,
+    "fluidsnet.deprecated": 0,
     "fluidsnet.distributed": 0,
     "fluidsnet.errors": 0,
     "fluidsnet.memory": 0,
@@ -18,7 +21,6 @@ RANKS = {
     "fluidsnet.same_settings": 0,
     "fluidsnet.scene": 0,
     "fluidsnet.statistics": 0,
-    "fluidsnet.config_base": 1,
     "fluidsnet.export": 1,
     "fluidsnet.loss": 1,
     "fluidsnet.particles": 1,
@@ -49,6 +51,7 @@ RANKS = {
     "fluidsnet.reporting": 10,
     "callbacks": 12,
     "datamodules": 12,
+    "fluidsnet.arguments": 12,
     "fluidsnet.cli": 13,
     "fluidsnet.report": 14,
     "fluidsnet.studies": 15,

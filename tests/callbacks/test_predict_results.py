@@ -6,6 +6,7 @@ import csv
 import json
 import shutil
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -215,8 +216,9 @@ def test_results_on_several_data_sets_are_kept_apart(sample: Path, tmp_path: Pat
     assert not [path for path in (tmp_path / "run").iterdir() if path.suffix in (".csv", ".png")]
 
 
-def test_the_folder_of_callbacks_holds_callbacks_only() -> None:
-    paths = sorted(Path(callbacks.__file__).parent.glob("[a-z]*.py"))
-    for path in paths:
-        name = next(n for n in dir(callbacks) if n.lower() == path.stem.replace("_", ""))
-        assert issubclass(getattr(callbacks, name), Callback)
+def test_each_module_in_the_folder_of_callbacks_has_a_callback() -> None:
+    for path in sorted(Path(callbacks.__file__).parent.glob("[a-z]*.py")):
+        module = import_module(f"callbacks.{path.stem}")
+        classes = [value for value in vars(module).values() if isinstance(value, type)]
+        own = [value for value in classes if value.__module__ == module.__name__]
+        assert any(issubclass(value, Callback) for value in own), path
