@@ -38,11 +38,11 @@ RANKS = {
     "fluidsnet.checkpoint": 7,
     "fluidsnet.checkpoint_migration": 8,
     "fluidsnet.compiled": 7,
-    "fluidsnet.logger": 7,
-    "fluidsnet.one_step": 7,
-    "fluidsnet.optimization": 7,
     "fluidsnet.rollout": 7,
-    "fluidsnet.training_cost": 7,
+    "fluidsnet.logger": 8,
+    "fluidsnet.one_step": 8,
+    "fluidsnet.optimization": 8,
+    "fluidsnet.training_cost": 8,
     "fluidsnet.module": 9,
     "fluidsnet.models": 10,
     "fluidsnet": 11,
@@ -115,6 +115,17 @@ def test_only_one_module_imports_the_solver() -> None:
         module for module, path in modules().items() if "import pysplishsplash" in path.read_text()
     ]
     assert importers == ["datamodules.generate.solver"]
+
+
+def test_only_kernels_import_numba() -> None:
+    importers = {
+        place(module)
+        for module, path in modules().items()
+        for node in ast.walk(ast.parse(path.read_text()))
+        if (isinstance(node, ast.Import) and any("numba" in alias.name for alias in node.names))
+        or (isinstance(node, ast.ImportFrom) and "numba" in (node.module or ""))
+    }
+    assert importers == {"fluidsnet.kernels"}
 
 
 def test_the_network_knows_neither_lightning_nor_hdf5() -> None:

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from fluidsnet.batched import BatchedPrediction
-from fluidsnet.features import GlobalVector, NeighborMean
+from fluidsnet.features import GlobalVector, NeighborMean, ParticleState
 from fluidsnet.memory import PeakMemory, free_bytes
 from fluidsnet.neighbors import Auto
 from fluidsnet.network import Network
@@ -20,7 +20,8 @@ COUNTS = [(900, 300), (1, 0), (1200, 300), (0, 50), (700, 300), (800, 0), (900, 
 
 def _network(device: torch.device, target: Target) -> Network:
     torch.manual_seed(0)
-    return Network((6, 4, 6), Auto(), NeighborMean(), GlobalVector, target).to(device).eval()
+    network = Network((6, 4, 6), Auto(), ParticleState(), NeighborMean(), GlobalVector, target)
+    return network.to(device).eval()
 
 
 @pytest.mark.parametrize("memory", [None, 0, 10**12])

@@ -15,9 +15,9 @@ from torch import Tensor
 from torch.profiler import ProfilerActivity, profile
 
 from datamodules.reader import FrameReader
+from fluidsnet import kernels
 from fluidsnet.batched import BatchedPrediction
 from fluidsnet.compiled import compile_network
-from fluidsnet.features.dense import plain_torch
 from fluidsnet.memory import PeakMemory
 from fluidsnet.module import FluidsNet
 from fluidsnet.particles import Particles
@@ -85,7 +85,7 @@ def measure(trial: Trial) -> Result:
     bench = _Bench(trial)
     bench.step(bench.few())
     if trial.kind == "reference":
-        with plain_torch():
+        with kernels.disabled():
             np.save(trial.reference, bench.step().numpy())
         return Result()
     return _batch(bench) if trial.kind == "batch" else _step(bench)
