@@ -61,7 +61,7 @@ class CellTables:
         def sort(position: Tensor, frame: Tensor) -> CellTable:
             # At a radius of zero only particles at the same place are neighbors.
             width = max(_WIDTH * radius, 1e-30)
-            return sort_into_cells(position, frame, particles.frames, width, extent)
+            return _table(position, frame, particles.frames, width, extent)
 
         fluid = sort(particles.position, particles.frame)
         solids = self._solids.get(
@@ -72,18 +72,10 @@ class CellTables:
         return fluid, solids
 
 
-def sort_into_cells(
+def _table(
     position: Tensor, frame: Tensor, frames: int, width: float, extent: list[float]
 ) -> CellTable:
-    """Sort particles into cells.
-
-    Args:
-        position: (P, 3) m.
-        frame: (P,) frame of each.
-        frames: Number of frames.
-        width: Width of a cell, m.
-        extent: (3,) size of the domain, m; affects only the speed.
-    """
+    """Sort P particles into cells of a width in m; the domain's extent affects the speed alone."""
     places = position.detach().cpu().float().contiguous().numpy()
     in_frame = frame.cpu().contiguous().numpy()
     room = _CELLS_PER_PARTICLE * len(places) / max(frames, 1)
@@ -108,7 +100,7 @@ def sort_into_cells(
 
 @njit(cache=True, error_model="numpy")
 def around(cells: CellTable, frame: int, cell: Any, begin: Any, end: Any, found: int) -> Any:
-    """Append the runs of particles in the 27 cells around a cell to `begin` and `end`.
+    """Append the runs of particles in the 27 cells around a cell; return the number of runs.
 
     Args:
         cells: Table of the particles.
@@ -116,10 +108,7 @@ def around(cells: CellTable, frame: int, cell: Any, begin: Any, end: Any, found:
         cell: (3,) coordinates from `cell_of`.
         begin: (54,) first particle of each run; written from `found` on.
         end: (54,) end of each run.
-        found: Number of runs before.
-
-    Returns:
-        Number of runs after, 27 more at most.
+        found: Number of runs before; 27 more at most are found.
     """
     start, size = cells.start, cells.size
     x, y, z = _slot(cell[0], size[0]), _slot(cell[1], size[1]), _slot(cell[2], size[2])

@@ -21,12 +21,9 @@ ROW = 0x7FFFFFFF
 
 @njit(cache=True, error_model="numpy")
 def enters(cells: CellTable, s: int, cell: Any) -> Any:
-    """Write the cell of a particle to `cell` and return whether it differs from before.
+    """Write the cell of particle s of a table and return whether it differs from before.
 
-    Args:
-        cells: Table of the particle.
-        s: Index of the particle in the table.
-        cell: (4,) float64 coordinates x, y, z and frame; NaN before the first particle.
+    `cell` holds (4,) float64 coordinates x, y, z and frame; NaN before the first particle.
     """
     x = cell_of(cells.place[0, s], cells.density)
     y = cell_of(cells.place[1, s], cells.density)
@@ -40,17 +37,10 @@ def enters(cells: CellTable, s: int, cell: Any) -> Any:
 
 @njit(cache=True, error_model="numpy")
 def look_around(fluid: CellTable, solids: CellTable, cell: Any, begin: Any, end: Any) -> Any:
-    """Write the runs of candidates around a cell, those of the fluid first.
-
-    Args:
-        fluid: Table of the fluid.
-        solids: Table of the solids.
-        cell: (4,) as written by `enters`.
-        begin: (54,) first candidate of each run.
-        end: (54,) end of each run.
+    """Write begin and end (54,) of the runs of candidates around a cell of `enters`.
 
     Returns:
-        Number of runs of fluid particles, and of all runs.
+        Number of runs of fluid particles, which come first, and of all runs.
     """
     runs = around(fluid, int(cell[3]), cell, begin, end, 0)
     return runs, around(solids, int(cell[3]), cell, begin, end, runs)
