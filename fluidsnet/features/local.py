@@ -72,12 +72,8 @@ class NeighborMean(LocalFeature):
     def forward(self, particles: Particles, neighbors: Neighbors, inputs: InputFeature) -> Tensor:
         sent, radius = inputs.sent(particles), particles.scene.support_radius
         if radius > 0 and use_kernel(particles.position, sent, differentiable=True):
-            position = torch.cat([particles.position, particles.solid_position])
-            (weight, bias), second = linear_layers(self.edge)
-            # Offsets in m are rounded least; the weights are for support radii.
-            weight = torch.cat([weight[:, :3] / radius, weight[:, 3:]], dim=1)
-            rows = torch.cat([position, sent], dim=1)
-            return edge_mean(rows, neighbors.neighbor, neighbors.offset, (weight, bias), second)
+            layers = linear_layers(self.edge)
+            return edge_mean(particles, sent, neighbors.neighbor, neighbors.offset, layers)
         received = sent.index_select(0, neighbors.neighbor)
         edges = torch.cat([edge_offsets(particles, neighbors), received], dim=1)
         pooled: Tensor = segment_csr(

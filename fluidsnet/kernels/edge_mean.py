@@ -5,6 +5,7 @@ The backward pass recomputes the activations of a block, so only the neighbor li
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from fluidsnet.kernels.columns import (
     row_length,
 )
 from fluidsnet.kernels.threads import set_threads
+from fluidsnet.particles import Particles
 
 # Particles per block and blocks per chunk of a thread; fixed, so that sums do not depend on the
 # number of threads.
@@ -31,21 +33,25 @@ _PARTICLES, _BLOCKS = 12, 32
 
 
 def edge_mean(
-    rows: Tensor, neighbor: Tensor, offset: Tensor, first: Layer, second: Layer
+    particles: Particles, sent: Tensor, neighbor: Tensor, offset: Tensor, layers: Sequence[Layer]
 ) -> Tensor:
     """Return the mean output (N, W) of two layers over the edges of each particle.
 
     Tanh, exact to 5e-7, follows each layer. A particle without edges gets zeros.
 
     Args:
-        rows: (P, 3 + S) position and sent values of all particles; gets no gradient.
+        particles: N fluid particles and M solid ones; they get no gradient.
+        sent: (N + M, S) columns that neighbors send; gets no gradient.
         neighbor: (E,) row of the neighbor of each edge.
-        offset: (N + 1,) first edge of each of the first N particles.
-        first: Layer from offset and sent values, 3 + S, to H units.
-        second: Layer from H to W units.
+        offset: (N + 1,) first edge of each fluid particle.
+        layers: From offset in support radii and sent columns, 3 + S, to H, and from H to W.
     """
+    (weight, bias), second = layers
+    # Offsets in m are rounded least, so the weights are scaled instead.
+    weight = torch.cat([weight[:, :3] / particles.scene.support_radius, weight[:, 3:]], dim=1)
+    rows = torch.cat([torch.cat([particles.position, particles.solid_position]), sent], dim=1)
     pooled: Tensor = _EdgeMean.apply(  # type: ignore[no-untyped-call]
-        _with_bias(*first), _with_bias(*second), rows, neighbor, offset, len(first[1])
+        _with_bias(weight, bias), _with_bias(*second), rows, neighbor, offset, len(bias)
     )
     return pooled
 

@@ -14,6 +14,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 from torch import Tensor
 
+from fluidsnet.kernels import nearest
 from fluidsnet.kernels.cell_table import CellTable, is_finite
 from fluidsnet.kernels.columns import (
     LANES,
@@ -23,19 +24,6 @@ from fluidsnet.kernels.columns import (
     as_array,
     mean,
     rounded_up,
-)
-from fluidsnet.kernels.nearest import (
-    BINS,
-    BLOCK,
-    DROPPED,
-    collect,
-    drop_farthest,
-    enters,
-    keep_up_to,
-    list_near,
-    look_around,
-    measure,
-    within,
 )
 from fluidsnet.particles import Particles
 
@@ -108,7 +96,7 @@ def _pool(
 ) -> None:  # fmt: skip
     """Write `fused_edge_mean`; velocities (3, P) in the order of the cells, limit in m²."""
     count, hidden = len(fluid.row), len(layers.fluid)
-    for block in prange((count + BLOCK - 1) // BLOCK):
+    for block in prange((count + nearest.BLOCK - 1) // nearest.BLOCK):
         cell, begin, end = np.full(4, np.nan), np.empty(54, np.int64), np.empty(54, np.int64)
         room = 1024
         place, speed = np.empty((3, room), np.float32), np.empty((3, room), np.float32)
@@ -116,7 +104,7 @@ def _pool(
         squared, sent = np.empty(room, np.float32), np.empty((hidden, room), np.float32)
         key = np.empty(2 * k + 512, np.int64)
         spare, bins = np.empty(len(key), np.int64), np.empty(len(key), np.int32)
-        start = np.empty(BINS, np.int32)
+        start = np.empty(nearest.BINS, np.int32)
         # Edges of several particles; zeros for units that are padding.
         most = rounded_up(_EDGES + k, LANES)
         edges = np.zeros((rounded_up(hidden, UNITS), most), np.float32)
@@ -124,14 +112,14 @@ def _pool(
         owner, until = np.empty(most, np.int64), np.empty(most, np.int64)
         candidates, shift, waiting, filled = 0, 0, 0, 0
         origin = np.zeros(3, np.float32)
-        for s in range(block * BLOCK, min(count, (block + 1) * BLOCK)):
+        for s in range(block * nearest.BLOCK, min(count, (block + 1) * nearest.BLOCK)):
             x, y, z = fluid.place[0, s], fluid.place[1, s], fluid.place[2, s]
             mine = fluid.row[s]
             pooled[mine] = 0
             if not is_finite(x, y, z):
                 continue
-            if enters(fluid, s, cell):
-                runs, all_runs = look_around(fluid, solids, cell, begin, end)
+            if nearest.enters(fluid, s, cell):
+                runs, all_runs = nearest.look_around(fluid, solids, cell, begin, end)
                 candidates = (end[:all_runs] - begin[:all_runs]).sum()
                 if candidates > room:
                     room = 2 * candidates
@@ -139,7 +127,7 @@ def _pool(
                     row, near = np.empty(room, np.int32), np.empty(room, np.int32)
                     squared = np.empty(room, np.float32)
                     sent = np.empty((hidden, room), np.float32)
-                wet = collect(fluid, solids, begin, end, runs, all_runs, place, row)
+                wet = nearest.collect(fluid, solids, begin, end, runs, all_runs, place, row)
                 _copy(fluid_velocity, begin[:runs], end[:runs], speed, 0)
                 _copy(solid_velocity, begin[runs:all_runs], end[runs:all_runs], speed, wet)
                 # Coordinates relative to a near point, since float32 is coarse far from zero.
@@ -150,14 +138,14 @@ def _pool(
                     constant = layers.solid[h]
                     _send(place, speed, origin, layers, h, constant, to, wet, candidates)
                 shift = _shift(s, begin, end, runs)
-            measure(place[0, :candidates], place[1], place[2], x, y, z, squared)
+            nearest.measure(place[0, :candidates], place[1], place[2], x, y, z, squared)
             squared[s - shift] = np.inf
-            found = list_near(squared, candidates, limit, near)
-            if found > k + DROPPED:
-                within(squared, row, candidates, mine, limit, k, key, spare, bins, start)
-                found = keep_up_to(key[k - 1], squared, row, near, found)
+            found = nearest.list_near(squared, candidates, limit, near)
+            if found > k + nearest.DROPPED:
+                nearest.within(squared, row, candidates, mine, limit, k, key, spare, bins, start)
+                found = nearest.keep_up_to(key[k - 1], squared, row, near, found)
             else:
-                found = drop_farthest(squared, row, near, found, k)
+                found = nearest.drop_farthest(squared, row, near, found, k)
             if found == 0:
                 continue
             for h in range(hidden):
