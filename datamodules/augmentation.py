@@ -1,40 +1,41 @@
-"""Symmetries of a box under gravity: they make new training data of old."""
+"""Augmentation of training samples by the symmetries of a box under gravity."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from typing import final
 
 import torch
 from torch import Tensor
 
 from fluidsnet.errors import UserError
-from fluidsnet.particles import Particles, Transitions
+from fluidsnet.particles import Transitions
 from fluidsnet.scene import Scene
 
 
 class Augmentation(ABC):
-    """Changes a training sample into another one that is as true."""
+    """Random change of a training sample that keeps it physically true."""
 
     @abstractmethod
     def check(self, scene: Scene) -> None:
-        """Called once before training starts.
+        """Check that changed samples are true in a scene; called once before training.
 
         Raises:
-            UserError: a changed sample would not be true in this scene.
+            UserError: they are not.
         """
 
     @abstractmethod
     def __call__(self, sample: Transitions) -> Transitions:
-        """One random change of a single sample."""
+        """Return a random change of a sample."""
 
 
 @final
 class BoxSymmetry(Augmentation):
-    """Mirrors each horizontal axis, and swaps the two, each with probability one half.
+    """Mirror each horizontal axis, and swap the two, each with probability one half.
 
     Together they are the rotations about gravity by quarter turns and their mirror
-    images: all that map the box to itself. The two axes are swapped only where the box is
+    images: all symmetries of the box. The two axes are swapped only where the box is
     as wide as it is deep.
 
     Raises:
@@ -50,10 +51,10 @@ class BoxSymmetry(Augmentation):
             )
 
     def __call__(self, sample: Transitions) -> Transitions:
-        scene = sample.state.scene
+        state, scene = sample.state, sample.state.scene
         self.check(scene)
-        along = scene.gravity.abs() > 0
-        first, second = (axis for axis in range(3) if not bool(along[axis]))
+        vertical = scene.gravity.abs() > 0
+        first, second = (axis for axis in range(3) if not bool(vertical[axis]))
         draws = torch.rand(3, device=scene.gravity.device) < 0.5
         axes = [0, 1, 2]
         if bool(draws[0]) and bool(torch.isclose(scene.extent[first], scene.extent[second])):
@@ -63,25 +64,21 @@ class BoxSymmetry(Augmentation):
         sign[second] = -1.0 if bool(draws[2]) else 1.0
         center = (scene.domain_lower + scene.domain_upper) / 2
 
-        def place(position: Tensor) -> Tensor:
-            return (position - center)[..., axes] * sign + center
-
         def turn(velocity: Tensor) -> Tensor:
             return velocity[..., axes] * sign
 
-        state = sample.state
-        return Transitions(
-            state=Particles(
+        def place(position: Tensor) -> Tensor:
+            return turn(position - center) + center
+
+        return replace(
+            sample,
+            state=replace(
+                state,
                 position=place(state.position),
                 velocity=turn(state.velocity),
-                frame=state.frame,
                 solid_position=place(state.solid_position),
                 solid_velocity=turn(state.solid_velocity),
-                solid_frame=state.solid_frame,
-                frames=state.frames,
-                scene=scene,
             ),
             next_position=place(sample.next_position),
             next_velocity=turn(sample.next_velocity),
-            simulation=sample.simulation,
         )

@@ -1,4 +1,4 @@
-"""``fluidsnet inspect``: what a data file holds, and what in it looks suspicious."""
+"""``fluidsnet inspect``: summary of a data file and checks for suspicious values."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from pathlib import Path
 import h5py
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from datamodules.schema import DAMAGE, Header, open_valid, simulations
 from fluidsnet.errors import UserError
+from fluidsnet.progress import Progress
 
 
 @dataclass
 class SimulationReport:
-    """What was seen of one simulation.
+    """Summary of one simulation.
 
     Attributes:
-        name: of its group.
-        frames: number of them.
-        fluid, solid: number of particles.
-        lower, upper: corners of the box around the fluid over all frames, m.
-        fastest: greatest speed, m/s.
-        solver_seconds: the solver's wall time for all steps, s.
-        threads: that the solver had, as the file says, or a question mark.
-        suspicions: sentences, one for each thing that looks wrong.
+        name: Name of the group.
+        frames: Number of frames.
+        fluid, solid: Number of particles.
+        lower, upper: Corners of the fluid's bounding box over all frames, m.
+        fastest: Greatest speed, m/s.
+        solver_seconds: Wall time of the solver for all steps, s.
+        threads: Threads of the solver, or a question mark where the file does not say.
+        suspicions: Descriptions of suspicious values.
     """
 
     name: str
@@ -43,11 +43,11 @@ class SimulationReport:
 
 
 def inspect_simulation(group: h5py.Group, header: Header) -> SimulationReport:
-    """Reads a simulation frame by frame.
+    """Summarize a simulation, reading it frame by frame.
 
     Args:
-        group: of the simulation.
-        header: of its file.
+        group: Group of the simulation.
+        header: Attributes of the file.
     """
     name = group.name.lstrip("/")
     frames, fluid = group["position"].shape[:2]
@@ -57,7 +57,7 @@ def inspect_simulation(group: h5py.Group, header: Header) -> SimulationReport:
     suspicions: list[str] = []
     not_finite: list[int] = []
     before: NDArray[np.float64] | None = None
-    for frame in tqdm(range(frames), desc=f"reading /{name}", unit="frame", leave=False):
+    for frame in Progress(range(frames), desc=f"reading /{name}", unit="frame", leave=False):
         position = group["position"][frame].astype(np.float64)
         velocity = group["velocity"][frame].astype(np.float64)
         if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
@@ -70,17 +70,17 @@ def inspect_simulation(group: h5py.Group, header: Header) -> SimulationReport:
         outside = (position < domain_lower - radius) | (position > domain_upper + radius)
         escaped = max(escaped, int(outside.any(axis=1).sum()))
         if before is not None:
-            # A row that changes its particle jumps; one that keeps it moves with its velocity.
+            # A row moves with its velocity, unless it changes to another particle.
             moved = np.linalg.norm(position - before - header.dt * velocity, axis=1)
             worst_jump = max(worst_jump, float(np.quantile(moved, 0.99)))
         before = position
     if not_finite:
-        suspicions.append(f"frame {not_finite[0]} is the first of {len(not_finite)} not finite")
+        suspicions.append(f"{len(not_finite)} frames are not finite, the first is {not_finite[0]}")
     if escaped:
         suspicions.append(f"up to {escaped} particles are outside the domain at once")
     if worst_jump > 2 * header.particle_radius:
         suspicions.append(
-            f"positions and velocities disagree by {worst_jump:.3g} m a frame for 1 % of the "
+            f"positions and velocities disagree by {worst_jump:.3g} m per frame for 1 % of the "
             "particles: rows may not keep their particle, or dt may be wrong"
         )
     times = group["time"][()]
@@ -103,10 +103,10 @@ def inspect_simulation(group: h5py.Group, header: Header) -> SimulationReport:
 
 
 def describe(path: Path) -> str:
-    """A page of text about a file.
+    """Return a summary of a file as text.
 
     Args:
-        path: of a data file.
+        path: Path of a data file.
 
     Raises:
         UserError: the file is not valid, or damaged.
@@ -148,22 +148,23 @@ def describe(path: Path) -> str:
         f"  fluid lies between ({', '.join(f'{x:.3f}' for x in lower)}) "
         f"and ({', '.join(f'{x:.3f}' for x in upper)}) m",
     ]
-    suspicions = [f"/{report.name}: {words}" for report in reports for words in report.suspicions]
-    lines += ["", "suspicious:", *(f"  {words}" for words in suspicions)] if suspicions else []
-    lines += [] if suspicions else ["  nothing suspicious"]
+    suspicions = [f"  /{report.name}: {text}" for report in reports for text in report.suspicions]
+    lines += ["", "suspicious:", *suspicions] if suspicions else ["  nothing suspicious"]
     return "\n".join(lines)
 
 
 def inspect_command(arguments: list[str]) -> None:
-    """Prints a page about each file named.
+    """Print a summary of each file named in the arguments.
 
     Raises:
         UserError: a file is not valid.
     """
     parser = ArgumentParser(
         prog="fluidsnet inspect",
-        description="Says what data files hold, and what in them looks suspicious.",
+        description="Print a summary of data files, and warn of suspicious values in them.",
     )
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="such as train.h5")
+    parser.add_argument(
+        "files", nargs="+", type=Path, metavar="FILE", help="data file, such as train.h5"
+    )
     for path in parser.parse_args(arguments).files:
         print(describe(path))

@@ -1,17 +1,19 @@
-"""Reads frames of a data file lazily, one handle a process."""
+"""Lazy reader of the frames of a data file."""
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
-from typing import Any, final
+from typing import Any, SupportsFloat, final
 
 import h5py
 import torch
 from torch import Tensor
 
-from datamodules.schema import DAMAGE, Header, simulations, validate
+from datamodules.schema import DAMAGE, VECTORS, Header, simulations, validate
 from fluidsnet.errors import UserError
 from fluidsnet.particles import Particles
 from fluidsnet.scene import Scene
@@ -19,26 +21,28 @@ from fluidsnet.scene import Scene
 
 @final
 class FrameReader:
-    """The simulations of one file.
+    """Reader of the simulations in one file.
 
-    The file is opened when a frame is first read, anew in each process: a handle is never
+    The file is opened when a frame is first read, once in each process: a handle is never
     pickled and never shared across a fork.
 
     Args:
-        path: of a data file.
+        path: Path of a data file.
+
+    Attributes:
+        frames: Number of frames of each simulation, by name, in order of names.
 
     Raises:
-        UserError: the file is missing, damaged or of another kind, or its solids move.
+        UserError: the file is missing, damaged or not a data file, or its solids move.
     """
 
     def __init__(self, path: Path) -> None:
         validate(path)
         self.path = path
-        #: Number of frames of each simulation, by name, in order.
-        self.frames: Mapping[str, int] = {}
         self._handle: h5py.File | None = None
         self._process = -1
         self._solids: dict[str, Tensor] = {}
+        self._scenes: dict[int, Scene] = {}
         with h5py.File(path, "r") as file:
             self.header = Header.read(file)
             for name in simulations(file):
@@ -46,22 +50,48 @@ class FrameReader:
                     raise UserError(
                         f"{path}: the solids of /{name} move; only solids at rest are supported."
                     )
-            self.frames = {name: len(file[name]["position"]) for name in simulations(file)}
+            self.frames: Mapping[str, int] = {
+                name: len(file[name]["position"]) for name in simulations(file)
+            }
+
+    @cached_property
+    def sha256(self) -> str:
+        """SHA-256 hash of the file, in hexadecimal."""
+        with self.path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
 
     def scene(self, stride: int) -> Scene:
-        """The scene of the file, stepped by so many frames."""
-        header = self.header
-        return Scene(
-            domain_lower=torch.tensor(header.domain_lower, dtype=torch.float32),
-            domain_upper=torch.tensor(header.domain_upper, dtype=torch.float32),
-            gravity=torch.tensor(header.gravity, dtype=torch.float32),
-            particle_radius=header.particle_radius,
-            support_radius=header.support_radius,
-            time_step=header.dt * stride,
-        )
+        """Return the scene of the file for steps of this many frames, always the same object."""
+        if stride not in self._scenes:
+            header = self.header
+            # Kept for training too, where a tensor made in inference mode cannot be used.
+            with torch.inference_mode(False):
+                self._scenes[stride] = Scene(
+                    domain_lower=torch.tensor(header.domain_lower, dtype=torch.float32),
+                    domain_upper=torch.tensor(header.domain_upper, dtype=torch.float32),
+                    gravity=torch.tensor(header.gravity, dtype=torch.float32),
+                    particle_radius=header.particle_radius,
+                    support_radius=header.support_radius,
+                    time_step=header.dt * stride,
+                )
+        return self._scenes[stride]
+
+    def check_same_scene(self, other: FrameReader) -> None:
+        """Check that two files have the same scene and frame interval.
+
+        Raises:
+            UserError: they differ.
+        """
+        for name in (*VECTORS, "particle_radius", "support_radius", "dt"):
+            value, expected = getattr(self.header, name), getattr(other.header, name)
+            if value != expected:
+                raise UserError(
+                    f"{self.path}: {name} is {value}, and {expected} in {other.path.name}; "
+                    "the files of a data set must have one scene."
+                )
 
     def fluid(self, simulation: str, frame: int) -> tuple[Tensor, Tensor]:
-        """Position, m, and velocity, m/s, of the fluid particles, each (N, 3)."""
+        """Read position, m, and velocity, m/s, of the fluid particles, each (N, 3)."""
         what = f"frame {frame} of /{simulation}"
         return (
             self._read(f"{simulation}/position", frame, what),
@@ -69,7 +99,7 @@ class FrameReader:
         )
 
     def state(self, simulation: str, frame: int, scene: Scene) -> Particles:
-        """One frame with its solids."""
+        """Read one frame with its solids."""
         position, velocity = self.fluid(simulation, frame)
         if simulation not in self._solids:
             self._solids[simulation] = self._read(
@@ -78,7 +108,7 @@ class FrameReader:
         return Particles.single(position, velocity, self._solids[simulation], scene)
 
     def close(self) -> None:
-        """Closes this process's handle, if there is one; the next read opens it again."""
+        """Close the handle of this process, if it is open; the next read opens it again."""
         if self._handle is not None and self._process == os.getpid():
             self._handle.close()
         self._handle = None
@@ -94,7 +124,7 @@ class FrameReader:
     def _file(self) -> h5py.File:
         if self._handle is None or self._process != os.getpid():
             if self._handle is not None:
-                # Inherited across a fork. While it is open, HDF5 would give it out again.
+                # Inherited across a fork; h5py would return it again while it is open.
                 self._handle.close()
             self._handle = h5py.File(self.path, "r")
             self._process = os.getpid()
@@ -102,3 +132,34 @@ class FrameReader:
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_handle": None, "_process": -1}
+
+
+def read_state(
+    path: str | Path, time_step: SupportsFloat, frame: int = 0, simulation: str | None = None
+) -> Particles:
+    """Read one frame of a data file as a state that a model can step.
+
+    Args:
+        path: Path of a data file, such as data/demo/test.h5.
+        time_step: Time step of the model, s (`Model.time_step`).
+        frame: Number of the frame.
+        simulation: Name of the simulation, such as "00000"; the first by default.
+
+    Raises:
+        UserError: the file cannot be read, the frame is not there, or the time step is not a
+            multiple of the file's frame interval.
+    """
+    reader = FrameReader(Path(path))
+    name = next(iter(reader.frames)) if simulation is None else simulation
+    if not 0 <= frame < reader.frames.get(name, 0):
+        raise UserError(f"{path}: there is no frame {frame} of /{name}.")
+    interval, step = reader.header.dt, float(time_step)
+    stride = round(step / interval)
+    if stride < 1 or abs(stride * interval - step) > 1e-6 * step:
+        raise UserError(
+            f"{path}: a time step of {step:g} s is no multiple of the frame interval, "
+            f"{interval:g} s."
+        )
+    state = reader.state(name, frame, reader.scene(stride))
+    reader.close()
+    return state

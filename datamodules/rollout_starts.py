@@ -1,4 +1,4 @@
-"""Where rollouts start that are compared with the truth, from any frame."""
+"""Rollout starts and their true states, read from an HDF5 file."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from fluidsnet.particles import RolloutStart
 
 @final
 class SimulationTruth:
-    """The states of a simulation, a stride apart, read one at a time.
+    """True states of a simulation, a stride apart, read one at a time.
 
     Args:
-        reader: of its file.
-        simulation: its name.
-        stride: frames from a state to the next.
-        first: frame of the first state.
+        reader: Reader of the file.
+        simulation: Name of the simulation.
+        stride: Frames from a state to the next.
+        first: Frame of the first state.
     """
 
     def __init__(self, reader: FrameReader, simulation: str, stride: int, first: int = 0) -> None:
@@ -36,33 +36,36 @@ class SimulationTruth:
 
 
 @final
-class RolloutStarts(Dataset[RolloutStart]):
-    """Each of some frames of each of some simulations, and the truth from there on.
+class HDF5RolloutStarts(Dataset[RolloutStart]):
+    """Rollout starts in the simulations of a file, each with its true states.
 
     Args:
-        reader: of a file.
-        stride: frames from a state to the next.
-        frames: where rollouts start: a whole number is a frame; a fraction is a share of the
+        reader: Reader of the file.
+        stride: Frames from a state to the next.
+        frames: Where rollouts start: a whole number is a frame, a fraction is a share of the
             simulation, from 0.0 to below 1.
-        steps: of each rollout; it ends where the truth does, and there by default.
-        simulations: how many, from the file's first on; all by default.
+        steps: Number of steps of each rollout; by default up to the last true state.
+        simulations: Number of simulations, from the first in the file; all by default.
+        beyond_truth: Keep `steps` where the true states end earlier, also where there is none
+            after the start. Without it, a rollout ends at the last true state.
 
     Attributes:
-        names: the simulation of each start.
-        first: the frame of each start.
-        steps: of each rollout.
+        names: Name of the simulation of each start.
+        first: Frame of each start.
+        steps: Number of steps of each rollout.
 
     Raises:
-        UserError: no rollout can start there.
+        UserError: a rollout cannot start at one of the frames.
     """
 
     def __init__(
         self,
         reader: FrameReader,
         stride: int,
-        frames: Sequence[int | float],
+        frames: Sequence[int | float] = (0,),
         steps: int | None = None,
         simulations: int | None = None,
+        beyond_truth: bool = False,
     ) -> None:
         self.reader, self.stride = reader, stride
         self.names: list[str] = []
@@ -72,16 +75,21 @@ class RolloutStarts(Dataset[RolloutStart]):
             count = reader.frames[name]
             for frame in frames:
                 first = frame if isinstance(frame, int) else round(frame * (count - 1))
-                there = (count - 1 - first) // stride
-                if first < 0 or there < 1:
+                known = (count - 1 - first) // stride
+                if not 0 <= first < count or (known < 1 and (steps is None or not beyond_truth)):
+                    remedy = "; set data.rollout_steps to the number of steps to predict"
                     raise UserError(
                         f"{reader.path}: no rollout of /{name} can start at {frame} (a whole "
-                        f"number is a frame, a fraction a share): it has {count} frames, and a "
-                        f"step takes {stride}."
+                        "number is a frame, a fraction a share of the simulation): it has "
+                        f"{count} frame(s), and a step takes {stride}"
+                        f"{remedy if beyond_truth and steps is None else ''}."
                     )
                 self.names.append(name)
                 self.first.append(first)
-                self.steps.append(there if steps is None else min(steps, there))
+                if steps is None:
+                    self.steps.append(known)
+                else:
+                    self.steps.append(steps if beyond_truth else min(steps, known))
 
     def __len__(self) -> int:
         return len(self.names)
@@ -93,32 +101,5 @@ class RolloutStarts(Dataset[RolloutStart]):
             state=self.reader.state(name, first, self.reader.scene(self.stride)),
             steps=self.steps[index],
             truth=SimulationTruth(self.reader, name, self.stride, first),
-        )
-
-
-@final
-class RolloutDataset(Dataset[RolloutStart]):
-    """The first frame of each simulation.
-
-    Args:
-        reader: of a file.
-        stride: frames from a state to the next.
-        steps: of each rollout; as many as the simulation has by default.
-    """
-
-    def __init__(self, reader: FrameReader, stride: int, steps: int | None) -> None:
-        self.reader, self.stride, self.steps = reader, stride, steps
-        self.names = list(reader.frames)
-
-    def __len__(self) -> int:
-        return len(self.names)
-
-    def __getitem__(self, index: int) -> RolloutStart:
-        name = self.names[index]
-        truth = SimulationTruth(self.reader, name, self.stride)
-        return RolloutStart(
-            name=name,
-            state=self.reader.state(name, 0, self.reader.scene(self.stride)),
-            steps=len(truth) - 1 if self.steps is None else self.steps,
-            truth=truth,
+            first=first,
         )

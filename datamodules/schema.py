@@ -1,4 +1,4 @@
-"""The HDF5 files: names, shapes, units, and what makes a file valid.
+"""HDF5 file format: names, shapes, units and validation.
 
 One file holds one split of a data set, one group of it one simulation::
 
@@ -28,37 +28,38 @@ from fluidsnet.errors import UserError
 
 SCHEMA_VERSION = 1
 
-#: A data set has a file of each.
+#: Splits of a data set; each has a file.
 SPLITS = ("train", "val", "test")
 
-#: Every h5py reads these. A frame of a dam break of 4,900 particles takes 1.8 ms to write and
-#: keeps 76 % of its bytes; at level 4 1.9 ms and 75 %, at 9 3.0 ms and 75 %, with lzf 0.7 ms
-#: and 81 % (median of 13 frames 50 ms apart, three times, each written to memory on one core).
+#: Filters that every h5py build reads. Gzip at level 1 keeps 76 % of the bytes of a frame of a
+#: dam break and writes 4,900 particles in 1.8 ms; level 9 takes 3.0 ms for 75 %, lzf 0.7 ms for
+#: 81 % (median of 13 frames, three times, each written to memory on one core).
 COMPRESSION: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 
-#: What h5py raises for a file that is damaged.
+#: Exceptions that h5py raises for a damaged file.
 DAMAGE = (OSError, KeyError, RuntimeError)
 
-_VECTORS = ("domain_lower", "domain_upper", "gravity")
+#: Attributes of three numbers.
+VECTORS = ("domain_lower", "domain_upper", "gravity")
 _FLOATS = ("particle_radius", "support_radius", "dt", "density0", "viscosity")
 
 
 @dataclass(frozen=True)
 class Header:
-    """The attributes of a file.
+    """Attributes of a file.
 
     Attributes:
-        scene: name of the scene kind.
-        solver: name of the pressure solver.
-        solver_version: of the program that ran it.
-        solver_parameters: what the solver was told, as it names it.
-        domain_lower, domain_upper: corners of the box, m.
+        scene: Name of the scene kind.
+        solver: Name of the pressure solver.
+        solver_version: Version of the solver's program.
+        solver_parameters: Parameters of the solver, under the solver's names.
+        domain_lower, domain_upper: Corners of the box, m.
         gravity: m/s².
         particle_radius: m.
         support_radius: m, four particle radii.
-        dt: time between two frames, s.
-        density0: rest density, kg/m³.
-        viscosity: as the solver's.
+        dt: Time between two frames, s.
+        density0: Rest density, kg/m³.
+        viscosity: Viscosity coefficient of the solver.
     """
 
     scene: str
@@ -75,25 +76,25 @@ class Header:
     viscosity: float
 
     def write(self, file: h5py.File) -> None:
-        """Stores the attributes in an open file."""
+        """Write the attributes to an open file."""
         file.attrs["schema_version"] = SCHEMA_VERSION
         for field in fields(self):
             value = getattr(self, field.name)
             if field.name == "solver_parameters":
                 value = json.dumps(value)
-            elif field.name in _VECTORS:
+            elif field.name in VECTORS:
                 value = np.array(value, dtype=np.float64)
             file.attrs[field.name] = value
 
     @classmethod
     def read(cls, file: h5py.File) -> Self:
-        """Reads the attributes of an open, valid file."""
+        """Read the attributes of an open, valid file."""
         values: dict[str, Any] = {}
         for field in fields(cls):
             value = file.attrs[field.name]
             if field.name == "solver_parameters":
                 value = json.loads(value)
-            elif field.name in _VECTORS:
+            elif field.name in VECTORS:
                 value = tuple(float(component) for component in value)
             elif field.name in _FLOATS:
                 value = float(value)
@@ -102,19 +103,19 @@ class Header:
 
 
 def simulations(file: h5py.File) -> list[str]:
-    """Names of the simulations in a file, in order."""
+    """Return the names of the simulations in a file, sorted."""
     return sorted(name for name in file if isinstance(file[name], h5py.Group))
 
 
 def create_frames(group: h5py.Group, particles: int) -> tuple[h5py.Dataset, h5py.Dataset]:
-    """Makes the position and velocity data sets of a group, with no frame yet.
+    """Create the position and velocity data sets of a group, with no frame yet.
 
     Args:
-        group: of one simulation.
-        particles: number of fluid particles.
+        group: Group of one simulation.
+        particles: Number of fluid particles.
 
     Returns:
-        position and velocity, each (0, particles, 3), to be resized as frames come.
+        Position and velocity, each (0, particles, 3), to be resized for each frame.
     """
     position, velocity = (
         group.create_dataset(
@@ -131,7 +132,7 @@ def create_frames(group: h5py.Group, particles: int) -> tuple[h5py.Dataset, h5py
 
 
 def open_valid(path: Path) -> h5py.File:
-    """Opens a file for reading after `validate`.
+    """Open a file for reading after `validate`.
 
     Raises:
         UserError: as `validate`.
@@ -141,10 +142,11 @@ def open_valid(path: Path) -> h5py.File:
 
 
 def validate(path: Path) -> None:
-    """Checks that a file is what this module describes; reads no particle data.
+    """Check that a file has the format of this module, without reading particle data.
 
     Raises:
-        UserError: names the file, the group and the data set at fault, and what was expected.
+        UserError: it has not; the message names the file, the group, the data set and the
+            expected value.
     """
     if not path.is_file():
         raise UserError(f"{path}: there is no such file; make it with `fluidsnet generate`.")
@@ -152,14 +154,14 @@ def validate(path: Path) -> None:
         file = h5py.File(path, "r")
     except OSError as error:
         raise UserError(
-            f"{path}: not a whole HDF5 file (damaged, cut short, or of another kind): {error}."
+            f"{path}: not a whole HDF5 file (damaged, truncated, or of another format): {error}."
         ) from error
     with file:
         try:
             _validate_header(path, file)
             names = simulations(file)
             if not names:
-                raise UserError(f"{path}: holds no simulation; expected groups such as /00000.")
+                raise UserError(f"{path}: no simulation in it; expected groups such as /00000.")
             for name in names:
                 _validate_simulation(path, file[name])
         except DAMAGE as error:
@@ -170,28 +172,22 @@ def _validate_header(path: Path, file: h5py.File) -> None:
     version = file.attrs.get("schema_version")
     if version is None:
         raise UserError(
-            f"{path}: has no attribute schema_version; it is not a FluidsNet data file."
+            f"{path}: the attribute schema_version is missing; it is not a FluidsNet data file."
         )
     if version != SCHEMA_VERSION:
-        raise UserError(
-            f"{path}: schema_version is {version}; this program reads {SCHEMA_VERSION}."
-        )
+        raise UserError(f"{path}: schema_version is {version}; FluidsNet reads {SCHEMA_VERSION}.")
     for field in fields(Header):
         if field.name not in file.attrs:
             raise UserError(f"{path}: the attribute {field.name} is missing.")
-    for name in (*_VECTORS, *_FLOATS):
-        if not np.issubdtype(np.asarray(file.attrs[name]).dtype, np.number):
-            raise UserError(f"{path}: the attribute {name} must hold numbers.")
-    for name in _FLOATS:
-        if np.shape(file.attrs[name]) != ():
-            raise UserError(f"{path}: the attribute {name} must be one number.")
+    for names, shape, expected in ((VECTORS, (3,), "three numbers"), (_FLOATS, (), "one number")):
+        for name in names:
+            value = np.asarray(file.attrs[name])
+            if not np.issubdtype(value.dtype, np.number) or value.shape != shape:
+                raise UserError(f"{path}: the attribute {name} must be {expected}.")
     try:
         json.loads(file.attrs["solver_parameters"])
     except (TypeError, ValueError) as error:
         raise UserError(f"{path}: the attribute solver_parameters must be JSON.") from error
-    for name in _VECTORS:
-        if np.shape(file.attrs[name]) != (3,):
-            raise UserError(f"{path}: the attribute {name} must be three numbers.")
     if not np.all(np.asarray(file.attrs["domain_upper"]) > file.attrs["domain_lower"]):
         raise UserError(f"{path}: domain_upper must be above domain_lower on every axis.")
     for name in ("particle_radius", "support_radius", "dt"):

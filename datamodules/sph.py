@@ -1,4 +1,4 @@
-"""SPHDataModule: transitions and rollout starts from HDF5 files."""
+"""SPHDataModule: batches of transitions and rollout starts from HDF5 files."""
 
 from __future__ import annotations
 
@@ -15,11 +15,9 @@ from torch.utils.data import DataLoader
 
 from datamodules.augmentation import Augmentation
 from datamodules.reader import FrameReader
-from datamodules.rollout_starts import RolloutDataset, RolloutStarts
-from datamodules.sampler import each_once
-from datamodules.scale import statistics
+from datamodules.rollout_starts import HDF5RolloutStarts
 from datamodules.schema import SPLITS
-from datamodules.transitions import Sample, TransitionDataset
+from datamodules.transitions import Sample, TransitionDataset, each_once, samples_in, statistics
 from fluidsnet.errors import UserError
 from fluidsnet.particles import RolloutStart, Transitions
 from fluidsnet.scene import Scene
@@ -27,31 +25,32 @@ from fluidsnet.statistics import Statistics
 
 
 class SPHDataModule(LightningDataModule):
-    """A folder with train.h5, val.h5 and test.h5 (see `datamodules.schema`).
+    """Data module of a folder with train.h5, val.h5 and test.h5 (see `datamodules.schema`).
 
     Args:
-        root: the folder.
-        voxel_size: edge of a cell of the network's background grid, m; it goes with the
-            size of the scene, so scale it with the scene (paper, section 5.5).
-        stride: frames from a state to the next; the network's time step is the files' dt
-            times this.
-        steps: next states per sample, for training over several steps.
-        frame_range: first frame a sample may start at, and the one it must end before;
-            the end of the simulation by default. The paper trains on 300 to 1500.
-        sample_every: every how many frames a sample starts.
-        batch_size: whole frames in a batch.
-        split_by: `simulation` keeps each file's simulations to its own split. `frame`, to
-            reproduce the paper, puts the samples of train.h5 and val.h5 together and deals
-            them out at random, 80 % to training, 20 % to validation and test alike: frames
-            that lie next to each other then land on both sides, so that the test leaks, and
-            its figures are better than the network.
-        augmentation: changes training samples, such as `BoxSymmetry`; none by default.
-        rollout_steps: of `predict`; by default to the end of each simulation.
-        workers: processes that read ahead.
-        seed: of the split by frame.
+        root: Path of the folder.
+        voxel_size: Edge of a cell of the network's background grid, m. It grows with the size
+            of the scene (paper, section 5.5).
+        stride: Frames from a state to the next; the time step of the network is the `dt` of
+            the files times this.
+        steps: Next states per training sample.
+        frame_range: First frame that a sample may start at, and the frame it must end before;
+            null for the end of the simulation. The paper trains on 300 to 1500.
+        sample_every: Frames between the starts of two samples.
+        batch_size: Number of frames in a batch.
+        split_by: `simulation` keeps the simulations of each file in one split. `frame` repeats
+            the paper's split: samples of train.h5 and val.h5 are joined and divided at random,
+            80 % for training, 20 % for both validation and test. Neighboring frames then lie on
+            both sides, so the test leaks and its errors are too low.
+        augmentation: Changes training samples, such as `BoxSymmetry`; none by default.
+        rollout_steps: Steps of each rollout of `predict`; by default to the end of each
+            simulation. It may be more than test.h5 has.
+        workers: Number of processes that read ahead.
+        seed: Seed of the split by frame.
 
     Raises:
-        UserError: where a file is missing or unusable, or holds no sample.
+        UserError: an option is out of range; or, on use, a file is missing or unusable, or
+            holds no sample.
     """
 
     def __init__(
@@ -79,13 +78,13 @@ class SPHDataModule(LightningDataModule):
             ("rollout_steps", 1 if rollout_steps is None else rollout_steps, 1),
             ("workers", workers, 0),
         ):
-            if not value >= least:  # nor is NaN
+            if not value >= least:  # also refuses NaN
                 raise UserError(f"data.{name} is {value}; it must be at least {least}.")
         first, end = frame_range
         if first < 0 or (end is not None and end <= first):
             raise UserError(
-                f"data.frame_range is {frame_range}; it must be a first frame of at least 0 and "
-                "one after it, or null."
+                f"data.frame_range is {frame_range}; it must be a first frame of at least 0, and "
+                "a later frame or null."
             )
         self.root = Path(root)
         self.voxel_size = voxel_size
@@ -97,11 +96,11 @@ class SPHDataModule(LightningDataModule):
         self._readers: dict[str, FrameReader] = {}
         self._samples: dict[str, list[Sample]] = {}
 
-    # What a model is made from; read before `setup`, from the files' attributes alone.
+    # Settings of the model, read from the attributes of the files before `setup`.
 
     @cached_property
     def scene(self) -> Scene:
-        """The scene of the data set; the first of its files that is there says it."""
+        """Scene of the data set, from the first of its files that exists."""
         for split in SPLITS:
             if (self.root / f"{split}.h5").exists():
                 return self._reader(split).scene(self.stride)
@@ -112,14 +111,14 @@ class SPHDataModule(LightningDataModule):
 
     @property
     def time_step(self) -> float:
-        """From a state to the next, s."""
+        """Time from a state to the next, s."""
         return self.scene.time_step
 
     @property
     def grid_shape(self) -> tuple[int, int, int]:
         """Cells of the background grid along x, y and z: the fewest that cover the domain."""
         x, y, z = (
-            # The small share keeps 1.5 / 0.1 from becoming 16 by rounding.
+            # The tolerance keeps 1.5 / 0.1 from becoming 16 by rounding.
             max(1, math.ceil(float(edge) / self.voxel_size - 1e-4))
             for edge in self.scene.extent
         )
@@ -127,10 +126,39 @@ class SPHDataModule(LightningDataModule):
 
     @cached_property
     def statistics(self) -> Statistics:
-        """Of the training split alone."""
+        """Normalization statistics of the training split."""
         return statistics(self._dataset("train", steps=1))
 
-    # Lightning's hooks.
+    def identity(self, split: str) -> dict[str, Any]:
+        """Return plain JSON values that identify the data of a split.
+
+        Where `split_by` is `frame`, `file` and `sha256` list all files of the data set.
+
+        Args:
+            split: `train`, `val` or `test`.
+
+        Raises:
+            UserError: the file is missing or unusable.
+        """
+        names, options = [split], {}
+        if self.split_by == "frame":
+            names = [name for name in SPLITS if (self.root / f"{name}.h5").exists()] or names
+            options = {"split_by": self.split_by, "seed": self.seed}
+        readers = [self._reader(name) for name in names]
+        return {
+            "root": str(self.root),
+            "file": ", ".join(reader.path.name for reader in readers),
+            "sha256": ", ".join(reader.sha256 for reader in readers),
+            "stride": self.stride,
+            "time_step": readers[0].scene(self.stride).time_step,
+            "frame_range": list(self.frame_range),
+            "sample_every": self.sample_every,
+            "simulations": sum(len(reader.frames) for reader in readers),
+            "frames": sum(sum(reader.frames.values()) for reader in readers),
+            **options,
+        }
+
+    # Hooks of Lightning.
 
     def setup(self, stage: str) -> None:
         needed = {
@@ -139,10 +167,10 @@ class SPHDataModule(LightningDataModule):
             "test": ("test",),
             "predict": ("test",),
         }[stage]
-        # Dealt out by frame, the samples of each split come from these two files.
+        # Split by frame, the samples of each split come from these two files.
         dealt = self.split_by == "frame" and stage != "predict"
         for split in ("train", "val") if dealt else needed:
-            self._check_scene(split)
+            self._reader(split).check_same_scene(next(iter(self._readers.values())))
         if stage != "predict":
             for split in needed:
                 self._samples_of(split)
@@ -159,7 +187,7 @@ class SPHDataModule(LightningDataModule):
         return self._loader("test")
 
     def predict_dataloader(self) -> DataLoader[RolloutStart]:
-        dataset = RolloutDataset(self._reader("test"), self.stride, self.rollout_steps)
+        dataset = self.rollout_starts("test", steps=self.rollout_steps, beyond_truth=True)
         return DataLoader(dataset, batch_size=None, sampler=each_once(dataset))
 
     def rollout_starts(
@@ -168,19 +196,26 @@ class SPHDataModule(LightningDataModule):
         frames: Sequence[int | float] = (0,),
         steps: int | None = None,
         simulations: int | None = None,
-    ) -> RolloutStarts:
-        """Starts in the simulations of a split's file, and the truth from there on.
+        beyond_truth: bool = False,
+    ) -> HDF5RolloutStarts:
+        """Return rollout starts in the simulations of a file, with their true states.
+
+        The file is val.h5 or test.h5, also where `split_by` is `frame`: val.h5 is then not
+        held out.
 
         Args:
-            split: val.h5 or test.h5, also where `split_by` is `frame`: val.h5 is then not held out.
-            frames: where rollouts start, as `RolloutStarts` has it.
-            steps: of each rollout; it ends where the truth does, and there by default.
-            simulations: how many, from the file's first on; all by default.
+            split: `val` or `test`.
+            frames: Where rollouts start, as for `HDF5RolloutStarts`.
+            steps: Number of steps of each rollout; by default up to the last true state.
+            simulations: Number of simulations, from the first in the file; all by default.
+            beyond_truth: Keep `steps` where the true states end earlier.
 
         Raises:
-            UserError: no rollout can start there.
+            UserError: a rollout cannot start at one of the frames.
         """
-        return RolloutStarts(self._reader(split), self.stride, frames, steps, simulations)
+        return HDF5RolloutStarts(
+            self._reader(split), self.stride, frames, steps, simulations, beyond_truth
+        )
 
     def transfer_batch_to_device(
         self, batch: Any, device: torch.device, dataloader_idx: int
@@ -195,7 +230,7 @@ class SPHDataModule(LightningDataModule):
         dataset = self._dataset(split, self._steps(split))
         if split == "train":
             dataset.augmentation = self.augmentation
-        # Workers are forked: they must not inherit an open file.
+        # Workers may be forked, and must not inherit an open file.
         for reader in self._readers.values():
             reader.close()
         return DataLoader(
@@ -217,20 +252,6 @@ class SPHDataModule(LightningDataModule):
             self._readers[split] = FrameReader(self.root / f"{split}.h5")
         return self._readers[split]
 
-    def _check_scene(self, split: str) -> None:
-        header, first = self._reader(split).header, self._first_header()
-        lengths = ("particle_radius", "support_radius")
-        for name in ("domain_lower", "domain_upper", "gravity", *lengths, "dt"):
-            if getattr(header, name) != getattr(first, name):
-                raise UserError(
-                    f"{self._reader(split).path}: {name} is {getattr(header, name)}, and "
-                    f"{getattr(first, name)} in the data set's other files; "
-                    "a data set has one scene."
-                )
-
-    def _first_header(self) -> Any:
-        return next(iter(self._readers.values())).header
-
     def _samples_of(self, split: str) -> list[Sample]:
         if not self._samples:
             self._samples = self._deal() if self.split_by == "frame" else {}
@@ -240,24 +261,17 @@ class SPHDataModule(LightningDataModule):
             raise UserError(
                 f"{self.root}: no sample for {split}: no simulation has "
                 f"{self._steps(split) * self.stride + 1} frames (steps x data.stride + 1) "
-                f"within data.frame_range {self.frame_range}."
+                f"within data.frame_range {self.frame_range}; lower the stride or widen the range."
             )
         return self._samples[split]
 
     def _steps(self, split: str) -> int:
-        """Next states per sample: what is trained on does not decide what is measured."""
+        """Return the next states per sample; validation and test always take one."""
         return self.steps if split == "train" else 1
 
     def _in_file(self, split: str, steps: int) -> list[Sample]:
-        reader = self._reader(split)
-        first, end = self.frame_range
-        samples = []
-        for simulation, frames in reader.frames.items():
-            last = (frames if end is None else min(frames, end)) - steps * self.stride
-            samples += [
-                Sample(reader, simulation, frame) for frame in range(first, last, self.sample_every)
-            ]
-        return samples
+        span = steps * self.stride
+        return samples_in(self._reader(split), span, self.frame_range, self.sample_every)
 
     def _deal(self) -> dict[str, list[Sample]]:
         samples = self._in_file("train", self.steps) + self._in_file("val", self.steps)

@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from functools import partial
-from types import FunctionType
+from types import FunctionType, UnionType
 from typing import TYPE_CHECKING, Any, Union, final, get_args, get_origin, get_type_hints
 
 import torch
@@ -164,8 +164,9 @@ _OPTIONAL = {"noise"}
 if TYPE_CHECKING:
     Block = Any
 else:
+    # jsonargparse can save a list of widths only if its type is the first of the union.
     #: Type of any block, for configs.
-    Block = Union[tuple(_TYPES.values())]  # noqa: UP007  # made from a tuple
+    Block = Union[(list[int], *_TYPES.values())]
 
 
 def can_be(name: str, value: Any) -> bool:
@@ -177,7 +178,9 @@ def can_be(name: str, value: Any) -> bool:
     """
     if value is None:
         return name in _OPTIONAL
-    for kind in (get_origin(of) or of for of in get_args(_TYPES[name]) or (_TYPES[name],)):
+    hint = _TYPES[name]
+    for kind in get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,):
+        kind = get_origin(kind) or kind
         if kind is Callable:
             # Blocks can be called, too.
             if isinstance(value, type | partial | FunctionType):

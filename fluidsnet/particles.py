@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from itertools import accumulate
 from typing import Any, Protocol, Self
 
 import torch
@@ -13,61 +15,134 @@ from fluidsnet.scene import Scene
 
 
 @dataclass(frozen=True)
-class _Batch:
-    """Moves every tensor, and everything that can be moved, of a dataclass at once."""
+class _Movable:
+    """Base of the dataclasses that hold tensors: moves all of them at once."""
 
     def to(self, device: torch.device | str, non_blocking: bool = False) -> Self:
-        """The batch on a device."""
+        """Return a copy on a device."""
         return self._each(lambda value: value.to(device, non_blocking=non_blocking))
 
     def pin_memory(self) -> Self:
-        """The batch in page-locked memory, for an asynchronous copy to a GPU."""
+        """Return a copy in page-locked memory, for an asynchronous copy to a GPU."""
         return self._each(lambda value: value.pin_memory())
 
     def _each(self, change: Callable[[Any], Any]) -> Self:
-        changed = {
-            field.name: change(getattr(self, field.name))
-            for field in fields(self)
-            if isinstance(getattr(self, field.name), Tensor | Scene | _Batch)
-        }
-        return replace(self, **changed)
+        values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        movable = (Tensor, Scene, _Movable)
+        return replace(
+            self, **{n: change(value) for n, value in values.items() if isinstance(value, movable)}
+        )
+
+
+@dataclass(frozen=True)
+class _Batch(_Movable):
+    """Base of the batches. Each field's metadata has `join`: how its values are collated."""
+
+    @classmethod
+    def collate(cls, batches: Sequence[Self]) -> Self:
+        """Join batches into one, in the order given.
+
+        Raises:
+            ValueError: there is no batch, or two of them differ in scene, number of steps,
+                dtype or device.
+        """
+        if not batches:
+            raise ValueError(f"cannot collate {cls.__name__}: there are no batches to join")
+        return cls(
+            **{entry.name: entry.metadata["join"](batches, entry.name) for entry in fields(cls)}
+        )
+
+
+def _concatenate(batches: Sequence[Any], name: str, axis: int = 0) -> Tensor:
+    return torch.cat(_tensors(batches, name, axis), dim=axis)
+
+
+def _frame_index(batches: Sequence[Any], name: str) -> Tensor:
+    offsets = accumulate((batch.frames for batch in batches[:-1]), initial=0)
+    frames = _tensors(batches, name, axis=0)
+    return torch.cat([frame + offset for frame, offset in zip(frames, offsets, strict=True)])
+
+
+def _tensors(batches: Sequence[Any], name: str, axis: int) -> list[Tensor]:
+    """Return a field of each batch, and check that the tensors can be joined along an axis."""
+    tensors: list[Tensor] = [getattr(batch, name) for batch in batches]
+    first = tensors[0]
+    for other in tensors[1:]:
+        for what, one, two in (
+            ("dtype", first.dtype, other.dtype),
+            ("device", first.device, other.device),
+            ("shape", _shape(first, axis), _shape(other, axis)),
+        ):
+            if one != two:
+                raise ValueError(f"cannot collate {name}: its {what} is {one} and {two}")
+    return tensors
+
+
+def _shape(tensor: Tensor, axis: int) -> str:
+    """Return the shape as text, with N for the axis that tensors are joined along."""
+    sizes = (str(size) for size in tensor.shape)
+    return f"({', '.join('N' if at == axis else size for at, size in enumerate(sizes))})"
+
+
+def _sum(batches: Sequence[Any], name: str) -> int:
+    return sum(getattr(batch, name) for batch in batches)
+
+
+def _same_scene(batches: Sequence[Any], name: str) -> Scene:
+    scene: Scene = getattr(batches[0], name)
+    for batch in batches[1:]:
+        # The identity test comes first: a comparison of values copies from a GPU to the host.
+        other = getattr(batch, name)
+        if other is not scene and (difference := scene.difference(other)):
+            raise ValueError(f"cannot collate states of different scenes: {name}.{difference}")
+    return scene
+
+
+def _collate(batches: Sequence[Any], name: str) -> Any:
+    parts = [getattr(batch, name) for batch in batches]
+    return type(parts[0]).collate(parts)
+
+
+_ROWS: dict[str, Any] = {"join": _concatenate}
+_STEPS_AND_ROWS: dict[str, Any] = {"join": partial(_concatenate, axis=1)}
+_FRAME_INDEX: dict[str, Any] = {"join": _frame_index}
 
 
 @dataclass(frozen=True)
 class Particles(_Batch):
-    """The states of one or more frames of one scene, one frame's particles after another's.
+    """The states of one or more frames of one scene, frame after frame.
 
     Attributes:
         position: (N, 3) of the fluid particles, m.
         velocity: (N, 3) of the fluid particles, m/s.
-        frame: (N,) int64, which frame of the batch a fluid particle is in; ascending.
+        frame: (N,) int64, index in the batch of each fluid particle's frame; ascending.
         solid_position: (M, 3) of the solid particles, m.
         solid_velocity: (M, 3) of the solid particles, m/s; zero where they rest.
         solid_frame: (M,) int64, as `frame`.
-        frames: number of frames in the batch.
-        scene: of all of them.
+        frames: Number of frames in the batch.
+        scene: Scene of all frames.
     """
 
-    position: Tensor
-    velocity: Tensor
-    frame: Tensor
-    solid_position: Tensor
-    solid_velocity: Tensor
-    solid_frame: Tensor
-    frames: int
-    scene: Scene
+    position: Tensor = field(metadata=_ROWS)
+    velocity: Tensor = field(metadata=_ROWS)
+    frame: Tensor = field(metadata=_FRAME_INDEX)
+    solid_position: Tensor = field(metadata=_ROWS)
+    solid_velocity: Tensor = field(metadata=_ROWS)
+    solid_frame: Tensor = field(metadata=_FRAME_INDEX)
+    frames: int = field(metadata={"join": _sum})
+    scene: Scene = field(metadata={"join": _same_scene})
 
     @classmethod
     def single(
         cls, position: Tensor, velocity: Tensor, solid_position: Tensor, scene: Scene
     ) -> Particles:
-        """One frame, its solids at rest.
+        """Return a batch of one frame with its solids at rest.
 
         Args:
             position: (N, 3) m.
             velocity: (N, 3) m/s.
             solid_position: (M, 3) m.
-            scene: around them.
+            scene: Scene of the frame.
         """
         return cls(
             position=position,
@@ -80,99 +155,75 @@ class Particles(_Batch):
             scene=scene,
         )
 
-    @classmethod
-    def collate(cls, states: Sequence[Particles]) -> Particles:
-        """Joins states of one scene into one batch, in the order given."""
-        offsets = [0]
-        for state in states:
-            offsets.append(offsets[-1] + state.frames)
-        return cls(
-            position=torch.cat([state.position for state in states]),
-            velocity=torch.cat([state.velocity for state in states]),
-            frame=torch.cat(
-                [state.frame + offset for state, offset in zip(states, offsets, strict=False)]
-            ),
-            solid_position=torch.cat([state.solid_position for state in states]),
-            solid_velocity=torch.cat([state.solid_velocity for state in states]),
-            solid_frame=torch.cat(
-                [state.solid_frame + offset for state, offset in zip(states, offsets, strict=False)]
-            ),
-            frames=offsets[-1],
-            scene=states[0].scene,
-        )
-
     def moved(self, position: Tensor, velocity: Tensor) -> Particles:
-        """The same particles elsewhere: position (N, 3) in m, velocity (N, 3) in m/s."""
+        """Return the particles with a new position (N, 3), m, and velocity (N, 3), m/s."""
         return replace(self, position=position, velocity=velocity)
 
     def __len__(self) -> int:
-        """Number of fluid particles."""
+        """Return the number of fluid particles."""
         return len(self.position)
 
 
 @dataclass(frozen=True)
 class Transitions(_Batch):
-    """States, and where their particles truly are one or more steps later.
+    """States and the true states one or more steps later.
 
     Attributes:
         state: N particles.
         next_position: (S, N, 3) after 1, 2, … S steps, m.
         next_velocity: (S, N, 3) m/s.
-        simulation: (F,) int64, number of the simulation that each frame is of.
+        simulation: (F,) int64, number of the simulation of each frame.
     """
 
-    state: Particles
-    next_position: Tensor
-    next_velocity: Tensor
-    simulation: Tensor
-
-    @classmethod
-    def collate(cls, samples: Sequence[Transitions]) -> Transitions:
-        """Joins samples with the same number of steps into one batch."""
-        return cls(
-            state=Particles.collate([sample.state for sample in samples]),
-            next_position=torch.cat([sample.next_position for sample in samples], dim=1),
-            next_velocity=torch.cat([sample.next_velocity for sample in samples], dim=1),
-            simulation=torch.cat([sample.simulation for sample in samples]),
-        )
+    state: Particles = field(metadata={"join": _collate})
+    next_position: Tensor = field(metadata=_STEPS_AND_ROWS)
+    next_velocity: Tensor = field(metadata=_STEPS_AND_ROWS)
+    simulation: Tensor = field(metadata=_ROWS)
 
 
 class Truth(Protocol):
-    """The frames of a simulation, read one at a time so that they never sit in memory."""
+    """True states of a simulation, read one at a time so that they are never all in memory."""
 
     def __len__(self) -> int:
-        """Number of steps there are, the start included."""
+        """Return the number of states, the start included."""
         ...
 
     def __getitem__(self, step: int) -> tuple[Tensor, Tensor]:
-        """Position and velocity, each (N, 3), on the CPU, this many steps after the start."""
+        """Return position and velocity, each (N, 3) on the CPU, so many steps after the start."""
         ...
 
 
 @dataclass(frozen=True)
-class RolloutStart(_Batch):
-    """Where a rollout starts, how far it goes, and what it is compared with.
+class RolloutStart(_Movable):
+    """Start state, length and true states of one rollout.
 
     Attributes:
-        name: of the simulation.
-        state: its first frame.
-        steps: number of steps to roll out.
-        truth: the simulation's own frames; may end before the rollout does.
+        name: Name of the simulation.
+        state: State that the rollout starts from.
+        steps: Number of steps to roll out.
+        truth: True states from the start on; may end before the rollout does.
+        first: Frame of the simulation that the rollout starts at.
     """
 
     name: str
     state: Particles
     steps: int
     truth: Truth
+    first: int
+
+    @property
+    def known_steps(self) -> int:
+        """Number of steps that have a true state."""
+        return min(self.steps, len(self.truth) - 1)
 
 
 class RolloutStarts(Protocol):
-    """Rollouts that can be compared with the truth; each start is read when it is asked for.
+    """Sequence of rollout starts, each read when it is indexed.
 
     Attributes:
-        names: the simulation of each start.
-        first: the frame of each start.
-        steps: of each rollout, all with a truth.
+        names: Name of the simulation of each start.
+        first: Frame of each start.
+        steps: Number of steps of each rollout.
     """
 
     names: list[str]
@@ -180,9 +231,9 @@ class RolloutStarts(Protocol):
     steps: list[int]
 
     def __len__(self) -> int:
-        """Number of rollouts."""
+        """Return the number of rollouts."""
         ...
 
     def __getitem__(self, index: int) -> RolloutStart:
-        """One of them, on the CPU."""
+        """Return one start, on the CPU."""
         ...

@@ -1,4 +1,4 @@
-"""What the training data say of the size of things: the scale of inputs and targets."""
+"""Normalization statistics of the training split."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Statistics:
-    """Means over the fluid particles of the training split alone, and one deviation for all axes.
+    """Means over the fluid particles of the training split, and one deviation for all axes.
 
-    With Δt the time step, primes for the next state:
+    With Δt the time step and primes for the next state:
 
     Attributes:
         velocity_mean: (3,) of v, m/s.

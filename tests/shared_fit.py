@@ -30,7 +30,7 @@ from callbacks import (
     TrajectoryWriter,
 )
 from datamodules import SPHDataModule
-from datamodules.sampler import each_once
+from datamodules.transitions import each_once
 from fluidsnet import FluidsNet
 from fluidsnet.errors import UserError
 from fluidsnet.features import GlobalVector

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import hashlib
+import json
 import re
 import shutil
 from base64 import b64decode
@@ -10,7 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
+import h5py
 import lightning
 import pytest
 import torch
@@ -20,14 +24,16 @@ from torch.utils.tensorboard import SummaryWriter
 from fluidsnet.errors import UserError
 from fluidsnet.main import main
 from fluidsnet.report.curves import Line, draw
-from fluidsnet.report.event_file import read_event_file
-from fluidsnet.report.events import read_history
-from fluidsnet.report.grid import Grid, read_grid, shown, side_by_side
+from fluidsnet.report.events import read_event_file, read_history
 from fluidsnet.report.run import names, read_runs
 from fluidsnet.report.settings import changed, differing, flat, shipped
+from fluidsnet.report.tables import frame, read_table, shown, side_by_side
+from fluidsnet.reporting.results import DATA_FILE, RESULTS, results_folders
+from fluidsnet.reporting.table import write_table
 
 ROOT = Path(__file__).parents[1]
 CONFIGS = ROOT / "configs"
+SAMPLE = ROOT / "tests" / "data" / "dam_break"
 
 # It logs to the stderr that there is when it is loaded, which must not be one test's own.
 assert lightning
@@ -90,7 +96,7 @@ def fit(folder: Path, name: str, *more: str, configs: Sequence[str] = ()) -> Non
     main(
         [
             "fit", *(f"--config={CONFIGS / config}" for config in (*base, *configs)),
-            f"--data.init_args.root={ROOT / 'tests' / 'data' / 'dam_break'}",
+            f"--data.init_args.root={SAMPLE}",
             "--trainer.max_steps=4", "--trainer.log_every_n_steps=1",
             "--trainer.val_check_interval=2", "--trainer.limit_val_batches=2",
             "--trainer.enable_progress_bar=false", "--trainer.accelerator=cpu",
@@ -101,9 +107,40 @@ def fit(folder: Path, name: str, *more: str, configs: Sequence[str] = ()) -> Non
     )  # fmt: skip
 
 
+def results(run: Path) -> Path:
+    """The only results folder of a run."""
+    (folder,) = results_folders(run)
+    return folder
+
+
 def report(*runs: Path, output: Path) -> Page:
     main(["report", *map(str, runs), f"--output={output}"])
     return Page((output / "report.html").read_text())
+
+
+def identity(root: Path) -> dict[str, Any]:
+    digest = hashlib.sha256((root / "test.h5").read_bytes()).hexdigest()
+    return {
+        "root": str(root), "file": "test.h5", "sha256": digest, "stride": 1, "time_step": 0.02,
+        "frame_range": [0, None], "sample_every": 1, "simulations": 1, "frames": 41,
+    }  # fmt: skip
+
+
+def into_results_folder(run: Path) -> None:
+    """Moves tables and pictures from a run's own folder to where they belong."""
+    if (run / RESULTS).exists():
+        return
+    folder = run / RESULTS / SAMPLE.name
+    folder.mkdir(parents=True)
+    (folder / DATA_FILE).write_text(json.dumps(identity(SAMPLE)))
+    for ending in ("csv", "md", "png"):
+        for path in run.glob(f"*.{ending}"):
+            path.rename(folder / path.name)
+    if run.name == "one":
+        for ending in ("csv", "md"):
+            (folder / f"rollout.{ending}").unlink()
+            path = folder / f"rollout_metrics.{ending}"
+            shutil.copy(path, path.with_stem("rollout_metrics_predict"))
 
 
 @pytest.fixture(scope="module")
@@ -121,6 +158,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("one", "two"):
         main(["test", f"--run={folder / name}", "--trainer.limit_test_batches=2"])
     main(["predict", f"--run={folder / 'one'}", "--data.init_args.rollout_steps=3"])
+    for name in ("one", "two"):
+        into_results_folder(folder / name)
     return folder
 
 
@@ -152,8 +191,8 @@ def test_the_page_is_whole_and_asks_for_nothing(runs: Path, tmp_path: Path) -> N
 
 def test_pictures_and_curves_are_within_it_and_have_words(runs: Path, tmp_path: Path) -> None:
     page = report(runs / "one", output=tmp_path)
-    pictures = {path.read_bytes() for path in (runs / "one").glob("*.png")}
-    assert len(pictures) == 2
+    pictures = {path.read_bytes() for path in results(runs / "one").glob("*.png")}
+    assert len(pictures) >= 2
     images = page.all("img")
     assert {b64decode((image["src"] or "").partition(",")[2]) for image in images} == pictures
     assert all(image["alt"] for image in images)
@@ -170,13 +209,13 @@ def test_the_picture_of_an_ablation_is_shown(runs: Path, tmp_path: Path) -> None
     pictures = {image["alt"]: image["src"] or "" for image in page.all("img")}
     words = "two: The truth and every model against time; the lighter a particle, the faster"
     shown = b64decode(pictures[words].partition(",")[2])
-    assert shown == (runs / "two" / "ablation.png").read_bytes()
+    assert shown == (results(runs / "two") / "ablation.png").read_bytes()
 
 
-@pytest.mark.parametrize("table", ["one_step", "rollout", "rollout_metrics"])
+@pytest.mark.parametrize("table", ["one_step", "rollout_metrics", "rollout_metrics_predict"])
 def test_tables_are_the_runs_own(table: str, runs: Path, tmp_path: Path) -> None:
     page = report(runs / "one", output=tmp_path)
-    own, copied = (rows(folder / f"{table}.csv") for folder in (runs / "one", tmp_path))
+    own, copied = (rows(folder / f"{table}.csv") for folder in (results(runs / "one"), tmp_path))
     assert copied[0] == own[0] and len(copied) == len(own)
     markdown = (tmp_path / "report.md").read_text()
     for mine, theirs in zip(copied[1:], own[1:], strict=True):
@@ -252,12 +291,11 @@ def test_values_are_those_that_tensorboard_reads(runs: Path) -> None:
     for path in runs.glob("*/events*"):
         events = EventAccumulator(str(path), size_guidance={"scalars": 0})
         events.Reload()
-        file = read_event_file(path)
-        assert file.flaw == ""
-        assert list(file.scalars) == events.Tags()["scalars"]
-        for tag, scalars in file.scalars.items():
-            expected = [(event.step, event.value, event.wall_time) for event in events.Scalars(tag)]
-            assert scalars == expected
+        scalars, flaw = read_event_file(path)
+        assert flaw == ""
+        assert list(scalars) == events.Tags()["scalars"]
+        for tag, values in scalars.items():
+            assert values == events.Scalars(tag)
 
 
 def test_a_byte_that_is_not_as_written_is_found_wherever_it_is(one: Path) -> None:
@@ -289,10 +327,8 @@ def test_a_byte_that_is_not_as_written_is_found_wherever_it_is(one: Path) -> Non
 def test_a_file_that_ends_within_a_record_is_told_from_a_damaged_one(left: int, one: Path) -> None:
     path = min(one.glob("events*"))
     path.write_bytes(path.read_bytes()[:left])
-    assert read_event_file(path).flaw == (
-        f"{path.name} ends within a record, as after its process was killed: no value precedes "
-        "that."
-    )
+    flaw = "ends within a record, as after its process was killed: no value precedes that."
+    assert read_event_file(path) == ({}, f"{path.name} {flaw}")
 
 
 def test_settings_are_compared_with_what_is_shipped() -> None:
@@ -319,7 +355,7 @@ def test_settings_are_compared_with_what_is_shipped() -> None:
     )  # fmt: skip
     grid = changed(run, base)
     assert grid is not None
-    found = {row[0]: row[1:] for row in grid.rows}
+    found = {row[0]: tuple(row[1:]) for row in grid.to_numpy().tolist()}
     assert found["model.local.width"] == ("11", "9")
     assert found["model.target"] == ("DisplacementTarget", "VelocityTarget")
     assert found["model.walls"] == ("Walls", "OpenWalls")
@@ -351,7 +387,7 @@ def test_several_runs_stand_side_by_side(runs: Path, tmp_path: Path) -> None:
     mine = {row[0]: dict(zip(table[0], row, strict=True)) for row in table[1:]}
     assert list(mine) == ["model", "acceleration", "constant velocity", "ballistic"]
     for name in ("one", "two"):
-        for row in rows(runs / name / "one_step.csv")[1:]:
+        for row in rows(results(runs / name) / "one_step.csv")[1:]:
             assert float(mine[row[0]][f"skill, {name}"]) == float(row[1])
     assert mine["acceleration"]["skill, one"] == "–"
     assert not any("other frames" in words for words in page.words)
@@ -360,7 +396,7 @@ def test_several_runs_stand_side_by_side(runs: Path, tmp_path: Path) -> None:
     assert settings["model.optimizer.lr"] == ["0.003", "0.001"]
     assert settings["trainer.callbacks.Ablation"] == ["–", "Ablation"]
     assert "one: train/loss" in page.words and "two: train/loss" in page.words
-    assert "two has no rollout.csv" in page.text
+    assert "two has no rollout_metrics_predict.csv" in page.text
     ablation = {row[0]: row[1:] for row in rows(tmp_path / "ablation_two.csv")}
     assert ablation["two"] == ["model", "acceleration"]
     curves = read_history(runs / "two").curves
@@ -378,13 +414,14 @@ def test_several_runs_stand_side_by_side(runs: Path, tmp_path: Path) -> None:
 
 
 def test_runs_on_other_frames_are_not_compared(runs: Path, one: Path, tmp_path: Path) -> None:
-    path = one / "one_step.csv"
+    path = results(one) / "one_step.csv"
     path.write_text(path.read_text().replace("constant velocity,0.0,0", "constant velocity,0.0,1"))
     page = report(runs / "one", one, output=tmp_path / "report")
     assert any("must not be set beside each other" in words for words in page.words)
 
 
 def test_what_is_missing_is_said_in_a_line(one: Path, tmp_path: Path) -> None:
+    shutil.rmtree(one / RESULTS)
     for path in one.iterdir():
         if path.is_file() and path.name != "config.yaml":
             path.unlink()
@@ -400,15 +437,15 @@ def test_what_is_missing_is_said_in_a_line(one: Path, tmp_path: Path) -> None:
 
 def test_files_that_are_damaged_are_named(one: Path, tmp_path: Path) -> None:
     (one / "config.yaml").write_text("model: [")
-    (one / "one_step.csv").write_text("a,b\n1\n")
-    (one / "rollout.csv").write_bytes(b"\xff\xfe\x00")
+    (results(one) / "one_step.csv").write_text("a,b\n1\n")
+    (results(one) / "rollout_metrics.csv").write_bytes(b"\xff\xfe\x00")
     event = min(one.glob("events*"))
     event.write_bytes(event.read_bytes()[:-20])
     (one / "events.out.tfevents.0").write_bytes(b"nonsense" * 100)
     (one / "events.out.tfevents.1").mkdir()
-    (one / "rollout.png").write_bytes(b"")
+    (results(one) / "rollout.png").write_bytes(b"")
     page = report(one, output=tmp_path / "report")
-    for name in ("config.yaml", "one_step.csv", "rollout.csv", "rollout.png"):
+    for name in ("config.yaml", "one_step.csv", "rollout_metrics.csv", "rollout.png"):
         assert f"{name} cannot be read" in page.text
     for sentence in (
         "events.out.tfevents.0 is damaged: no value precedes that.",
@@ -423,12 +460,17 @@ def test_files_that_are_damaged_are_named(one: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("", "it is empty"), ("\n\n", "it is empty"), ("a,b\n", "it is not a header and rows")],
+    [
+        ("", "it is empty"),
+        ("\n\n", "it is empty"),
+        *((text, "it is not a header and rows") for text in ("a,b\n", "a,b\n1\n", "a\n1,2\n")),
+        ("a,b\n1,2\n1,2,3\n", "Expected 2 fields in line 3, saw 3"),
+    ],
 )
 def test_a_table_without_rows_is_none(text: str, words: str, tmp_path: Path) -> None:
     (tmp_path / "table.csv").write_text(text)
     with pytest.raises(ValueError, match=words):
-        read_grid(tmp_path / "table.csv")
+        read_table(tmp_path / "table.csv")
 
 
 def test_a_name_is_text_and_not_markup(one: Path, tmp_path: Path) -> None:
@@ -517,21 +559,24 @@ def test_a_report_of_several_lies_beside_the_first(
 
 def test_further_rollouts_stand_as_the_first_do(runs: Path, one: Path, tmp_path: Path) -> None:
     """Those of a `RolloutMetrics` with a name."""
+    folder = results(one)
     for ending in ("csv", "md", "png"):
-        shutil.copy(one / f"rollout_metrics.{ending}", one / f"rollout_metrics_in_motion.{ending}")
-    with (one / "rollout_metrics_in_motion.md").open("a") as file:
+        first, further = (f"rollout_metrics{which}.{ending}" for which in ("", "_in_motion"))
+        shutil.copy(folder / first, folder / further)
+    with (folder / "rollout_metrics_in_motion.md").open("a") as file:
         file.write("\nThe model's rollout of /simulation_0 came to rest.\n")
-    (one / "rollout_metrics_early.csv").write_text("")
+    (folder / "rollout_metrics_early.csv").write_text("")
     page = report(one, output=tmp_path / "single")
     assert "The model's rollout of /simulation_0 came to rest." in page.words
-    assert "one: rollout_metrics_early.csv cannot be read: it is empty." in page.words
-    after = f"after_{read_grid(one / 'rollout_metrics.csv').column('steps')[-1]}"
+    early = (folder / "rollout_metrics_early.csv").relative_to(one)
+    assert f"one: {early} cannot be read: it is empty." in page.words
+    after = f"after_{read_table(folder / 'rollout_metrics.csv')['steps'].iloc[-1]}"
     for name in ("", f"_{after}"):
-        first, further = (
+        own, other = (
             rows(tmp_path / "single" / f"rollout_metrics{which}{name}.csv")
             for which in ("", "_in_motion")
         )
-        assert further == first
+        assert other == own
     words = f"Every metric of the test's rollouts{{}} {after.replace('_', ' ')} steps"
     for which in ("", " (in motion)"):
         assert words.format(which) in page.words
@@ -545,12 +590,96 @@ def test_further_rollouts_stand_as_the_first_do(runs: Path, one: Path, tmp_path:
     assert words.format(" (in motion) of one") in page.words
     assert "two has no rollout_metrics_in_motion" not in page.text
     # Beside one that has them, a column each.
-    other = Path(shutil.copytree(one, one.with_name("other")))
-    table = other / "rollout_metrics_in_motion.csv"
+    other_run = Path(shutil.copytree(one, one.with_name("other")))
+    table = results(other_run) / "rollout_metrics_in_motion.csv"
     table.write_text(table.read_text().replace("model,", "net,"))
-    report(one, other, output=tmp_path / "both")
+    report(one, other_run, output=tmp_path / "both")
     header = rows(tmp_path / "both" / f"rollout_metrics_in_motion_{after}.csv")[0]
     assert {"model, one", "net, other"} <= set(header)
+
+
+def test_results_on_each_data_set_stand_apart(runs: Path, one: Path, tmp_path: Path) -> None:
+    wave = Path(shutil.copytree(SAMPLE, tmp_path / "wave"))
+    with h5py.File(wave / "test.h5", "r+") as file:
+        file.attrs["viscosity"] = 0.5
+    folder = Path(shutil.copytree(results(one), one / RESULTS / "wave"))
+    (folder / DATA_FILE).write_text(json.dumps(identity(wave)))
+    header, *cells = rows(folder / "one_step.csv")
+    write_table(folder / "one_step", header, [[row[0], 7.5, *row[2:]] for row in cells])
+    digests = [identity(root)["sha256"][:12] for root in (SAMPLE, wave)]
+    assert digests[0] != digests[1]
+
+    page = report(one, output=tmp_path / "single")
+    for section in ("One step ahead", "Rollouts", "Pictures"):
+        titles = [f"{section}: dam_break", f"{section}: wave"]
+        # Links first, then headings.
+        assert [it for it in page.words if it.startswith(f"{section}: ")] == 2 * titles
+    for root, digest in zip((SAMPLE, wave), digests, strict=True):
+        measured = f"Measured on {root / 'test.h5'} (sha256 {digest}): "
+        settings = "stride 1, simulations 1, frames 41, time step 20 ms."
+        assert measured + settings in page.words
+        assert measured + settings in (tmp_path / "single" / "report.md").read_text()
+    assert f"one was trained on other data: {SAMPLE}." in page.words
+    assert rows(tmp_path / "single" / "one_step_dam_break.csv") == rows(
+        one / RESULTS / "dam_break" / "one_step.csv"
+    )
+    assert rows(tmp_path / "single" / "one_step_wave.csv") == rows(folder / "one_step.csv")
+    glance = {row[0]: row[1] for row in rows(tmp_path / "single" / "glance.csv")}
+    assert glance["test: skill, wave"] == "7.5" != glance["test: skill, dam_break"]
+
+    # Beside a run with results on the first data only, these alone are set side by side.
+    page = report(one, runs / "two", output=tmp_path / "several")
+    header = rows(tmp_path / "several" / "one_step_dam_break.csv")[0]
+    assert {"skill, one", "skill, two"} <= {*header}
+    assert rows(tmp_path / "several" / "one_step_wave.csv")[0][1] == "skill"
+    assert f"two has no results on these data, but on {SAMPLE / 'test.h5'}." in page.words
+
+    # Data of the same hash at another stride are other data.
+    other = Path(shutil.copytree(runs / "two", tmp_path / "two"))
+    (results(other) / DATA_FILE).write_text(json.dumps({**identity(SAMPLE), "stride": 2}))
+    page = report(runs / "one", other, output=tmp_path / "strides")
+    assert "two has no results on these data" in page.text
+    assert (tmp_path / "strides" / "one_step_dam_break_2.csv").is_file()
+
+    with h5py.File(wave / "test.h5", "r+") as file:
+        file.attrs["viscosity"] = 0.25
+    page = report(one, output=tmp_path / "changed")
+    assert f"{wave / 'test.h5'} has changed since one was measured" in page.text
+    assert f"{SAMPLE / 'test.h5'} has changed" not in page.text
+
+
+def test_results_of_an_old_run_are_shown(runs: Path, one: Path, tmp_path: Path) -> None:
+    """Its tables lie in its own folder, some under old names."""
+    for path in [*results(one).iterdir()]:
+        path.rename(one / path.name)
+    shutil.rmtree(one / RESULTS)
+    (one / DATA_FILE).unlink()
+    (one / "rollout_metrics_predict.csv").rename(one / "rollout.csv")
+    table = "global feature of,skill\nthe frame itself,0.5\nanother frame,0.25\n"
+    (one / "foreign_context.csv").write_text(table)
+    page = report(one, output=tmp_path / "single")
+    for name in ("one_step", "rollout", "rollout_metrics"):
+        assert len(rows(tmp_path / "single" / f"{name}.csv")) == len(rows(one / f"{name}.csv"))
+    assert rows(tmp_path / "single" / "global_feature_permutation_one.csv")[2][1] == "0.25"
+    assert len(page.all("img")) == len([*one.glob("*.png")]) >= 2
+    note = "The data that one was measured on are not noted"
+    assert note in page.text
+    # Its results are not set beside those on data that are noted.
+    page = report(one, runs / "two", output=tmp_path / "several")
+    assert note in page.text
+    assert f"two has no results on these data, but on {SAMPLE / 'test.h5'}." in page.words
+    assert rows(tmp_path / "several" / "one_step_data_not_noted.csv")[0][1] == "skill"
+    # Tested once more, it has both, the new ones first.
+    shutil.copytree(results(runs / "one"), one / RESULTS / "dam_break")
+    (run,) = read_runs([one])
+    assert [it.label for it in run.results] == ["dam_break", "data not noted"]
+
+
+def test_results_without_a_note_of_their_data_are_named(one: Path, tmp_path: Path) -> None:
+    (results(one) / DATA_FILE).write_text("{")
+    page = report(one, output=tmp_path / "report")
+    assert "one: results/dam_break/data.json cannot be read: it notes no data." in page.words
+    assert (tmp_path / "report" / "one_step.csv").is_file()
 
 
 @pytest.mark.parametrize("count", [2, 3])
@@ -567,15 +696,18 @@ def test_runs_have_the_shortest_names_that_tell_them_apart() -> None:
 
 
 def test_columns_that_agree_stand_once() -> None:
-    one = Grid(("steps", "model", "still"), ((1, 0.5, 2.0), (5, 0.75, 3.0)))
-    other = Grid(("steps", "model", "still"), ((1, 0.5, 2.00001), (2, 1.0, 2.5), (5, 4.0, 3.0)))
+    header = ("steps", "model", "still")
+    one = frame(header, ((1, 0.5, 2.0), (5, 0.75, 3.0)))
+    other = frame(header, ((1, 0.5, 2.00001), (2, 1.0, 2.5), (5, 4.0, 3.0)))
     assert side_by_side({"a": one}) is one
-    joined = side_by_side({"a": one, "b": Grid(other.header, other.rows[::2])})
-    assert joined.header == ("steps", "model, a", "model, b", "still")
-    assert joined.rows == ((1, 0.5, 0.5, 2.0), (5, 0.75, 4.0, 3.0))
+    joined = side_by_side({"a": one, "b": other.iloc[::2]})
+    assert [*joined.columns] == ["steps", "model, a", "model, b", "still"]
+    assert joined.to_numpy().tolist() == [[1, 0.5, 0.5, 2.0], [5, 0.75, 4.0, 3.0]]
     joined = side_by_side({"a": one, "b": other})
-    assert [row[0] for row in joined.rows] == [1, 2, 5]
-    assert joined.header[3:] == ("still, a", "still, b")
+    assert joined.to_numpy().tolist() == [
+        [1, 0.5, 0.5, 2.0, 2.00001], [2, "–", 1.0, "–", 2.5], [5, 0.75, 4.0, 3.0, 3.0],
+    ]  # fmt: skip
+    assert [*joined.columns][3:] == ["still, a", "still, b"]
 
 
 def test_numbers_are_written_for_a_reader() -> None:

@@ -1,1 +1,1 @@
-"""Data from the real solver: random scenes, one process a simulation."""
+"""Data generator: SPlisHSPlasH on random scenes, one process per simulation."""

@@ -1,4 +1,4 @@
-"""``fluidsnet generate``: the command line of the data generator."""
+"""``fluidsnet generate``: command line of the data generator."""
 
 from __future__ import annotations
 
@@ -13,41 +13,43 @@ from datamodules.schema import SPLITS
 
 
 def generate_command(arguments: list[str]) -> None:
-    """Makes a data set as the options say.
+    """Generate a data set with the options given.
 
     Raises:
         UserError: as `generate`.
     """
-    options = _parser().parse_args(arguments)
-    options = _parser().instantiate(options)
-    recipe = Recipe(**vars(options.recipe))
+    parser = _parser()
+    options = parser.instantiate(parser.parse_args(arguments))
     root = Path(options.root)
-    failures = generate(recipe, root, options.processes, options.threads)
-    made = [root / f"{split}.h5" for split in SPLITS if (root / f"{split}.h5").exists()]
-    print(f"{root} holds {', '.join(path.name for path in made)}.")
+    failures = generate(Recipe(**vars(options.recipe)), root, options.processes, options.threads)
+    files = [root / f"{split}.h5" for split in SPLITS if (root / f"{split}.h5").exists()]
+    print(f"{root} holds {', '.join(path.name for path in files)}.")
     if failures:
         names = ", ".join(f"{failure.name} (seed {failure.seed})" for failure in failures)
         print(
-            f"{len(failures)} simulation(s) failed and are not in it: {names}; "
-            "the same command tries them again once the folder is removed.",
+            f"{len(failures)} simulation(s) failed and are not in the data set: {names}. To run "
+            "them again, remove the folder and repeat the command.",
             file=sys.stderr,
         )
-    print(f"Next: fluidsnet inspect {made[0]}")
+    print(f"Next: fluidsnet inspect {files[0]}")
 
 
 def _parser() -> ArgumentParser:
     parser = ArgumentParser(
         prog="fluidsnet generate",
         description=(
-            "Runs SPlisHSPlasH on random scenes, a process a simulation, and stores the "
-            "frames as HDF5. Calling it again after it was stopped makes only what is missing."
+            "Run SPlisHSPlasH on random scenes, one process for each simulation, and store the "
+            "frames as HDF5. Run it again after an interruption: only missing simulations are run."
         ),
     )
-    parser.add_argument("--config", action="config", help="a file from configs/scene")
+    parser.add_argument("--config", action="config", help="config file, such as in configs/scene")
     parser.add_argument("--root", type=str, required=True, help="folder of the data set")
     parser.add_argument(
-        "--processes", type=int, default=None, help="simulations at once; default: the cores"
+        "--processes",
+        type=int,
+        default=None,
+        help="simulations at the same time; by default the number of cores",
     )
-    parser.add_argument("--threads", type=int, default=1, help="solver threads in each")
+    parser.add_argument("--threads", type=int, default=1, help="solver threads per simulation")
     parser.add_class_arguments(Recipe, "recipe")
     return parser

@@ -1,4 +1,4 @@
-"""Makes a data set: draws the scenes, runs the solver on every core, joins the files."""
+"""Generate a data set: draw the scenes, run the solver on all cores, join the files."""
 
 from __future__ import annotations
 
@@ -13,29 +13,28 @@ import time
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
 
 import h5py
-from tqdm import tqdm
 
 from datamodules.generate.job import Job
 from datamodules.generate.recipe import Recipe
 from datamodules.generate.solver import load_solver
 from datamodules.schema import SPLITS
 from fluidsnet.errors import UserError
+from fluidsnet.progress import Progress
 
 
 @dataclass(frozen=True)
 class Failure:
-    """A simulation that did not end well, and the solver's last words."""
+    """Name, seed and reason of a simulation that failed."""
 
     name: str
     seed: list[int]
-    words: str
+    reason: str
 
 
 class _Worker:
-    """A solver process that is under way."""
+    """Running solver process."""
 
     def __init__(self, name: str, job: Job, folder: Path) -> None:
         self.name, self.job = name, job
@@ -43,11 +42,8 @@ class _Worker:
         job_file = folder / f"{name}.json"
         job_file.write_text(job.to_json())
         self.reports, write_end = os.pipe()
-        environment = {
-            **os.environ,
-            "OMP_NUM_THREADS": str(job.threads),
-            "OMP_WAIT_POLICY": "passive",
-        }
+        # Threads that spin while they wait, the default, slow down a busy machine thirtyfold.
+        openmp = {"OMP_NUM_THREADS": str(job.threads), "OMP_WAIT_POLICY": "passive"}
         with self.log.open("wb") as log:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "datamodules.generate.solver", job_file, str(write_end)],
@@ -55,40 +51,40 @@ class _Worker:
                 stderr=subprocess.STDOUT,
                 stdin=subprocess.DEVNULL,
                 pass_fds=[write_end],
-                env=environment,
+                env={**os.environ, **openmp},
             )
         os.close(write_end)
         self.frames = 0
 
-    def last_words(self) -> str:
-        """What the process printed last, on one line."""
-        lines = [line.strip() for line in self.log.read_text(errors="replace").splitlines()]
-        lines = [line for line in lines if line]
+    def failure(self) -> Failure:
+        """Return the exit status and the last output of the process as a failure."""
+        output = self.log.read_text(errors="replace").splitlines()
+        lines = [line.strip() for line in output if line.strip()][-2:]
         status = self.process.returncode
         reason = f"killed by signal {-status}" if status < 0 else f"exit status {status}"
-        return f"{reason}: {' / '.join(lines[-2:])}" if lines else reason
+        return Failure(self.name, self.job.seed, ": ".join([reason, *lines]))
 
 
 def generate(
     recipe: Recipe, root: Path, processes: int | None = None, threads: int = 1
 ) -> list[Failure]:
-    """Makes ``train.h5``, ``val.h5`` and ``test.h5`` in a folder.
+    """Write ``train.h5``, ``val.h5`` and ``test.h5`` to a folder.
 
-    Whole simulations of a call that was killed are kept; only what is missing is made.
+    Complete simulations of an interrupted call are kept; only missing ones are run.
 
     Args:
-        recipe: what to make.
-        root: the data set's folder.
-        processes: simulations at once; as many as cores by default.
-        threads: the solver's threads in each.
+        recipe: Settings of the data set.
+        root: Folder of the data set.
+        processes: Simulations at the same time; the number of cores by default.
+        threads: Solver threads per simulation.
 
     Returns:
         The simulations that failed; they are not in the data set.
 
     Raises:
         UserError: processes or threads are below one, the solver is not installed,
-            the folder holds another data set, there are not as many different scenes as
-            simulations, or a split would be empty because each of its simulations failed.
+            the folder holds another data set, there are fewer different scenes than
+            simulations, or all simulations of a split failed.
     """
     if processes is None:
         processes = os.cpu_count() or 1
@@ -103,26 +99,22 @@ def generate(
         split: [parts / f"{split}-{number:05d}.h5" for number in range(getattr(recipe, split))]
         for split in SPLITS
     }
-    waiting: deque[tuple[str, Job]] = deque()
-    done = 0
-    for split, outputs in wanted.items():
-        if (root / f"{split}.h5").exists():
-            done += len(outputs)
-            continue
-        for number, output in enumerate(outputs):
-            if output.exists():
-                done += 1
-            else:
-                job = recipe.job(split, number, starts[split, number], output, threads)
-                waiting.append((output.stem, job))
+    waiting = deque(
+        (output.stem, recipe.job(split, number, starts[split, number], output, threads))
+        for split, outputs in wanted.items()
+        if not (root / f"{split}.h5").exists()
+        for number, output in enumerate(outputs)
+        if not output.exists()
+    )
     if not waiting and not parts.exists():
         return []
     parts.mkdir(exist_ok=True)
     _sweep(parts)
-    total = sum(len(outputs) for outputs in wanted.values()) * recipe.frames
+    total = sum(map(len, wanted.values())) * recipe.frames
+    done = total - len(waiting) * recipe.frames
     with (
         tempfile.TemporaryDirectory(dir=parts) as scratch,
-        tqdm(total=total, initial=done * recipe.frames, unit="frame", desc="simulating") as bar,
+        Progress(total=total, initial=done, unit="frame", desc="simulating") as bar,
     ):
         failures = _run(waiting, Path(scratch), processes, bar)
     for split, outputs in wanted.items():
@@ -132,7 +124,7 @@ def generate(
 
 
 def _sweep(parts: Path) -> None:
-    """Removes what a killed call left beside whole simulations: scratch folders, partial files."""
+    """Remove scratch folders and partial files of a killed call; keep complete simulations."""
     for path in parts.iterdir():
         if path.is_dir():
             shutil.rmtree(path)
@@ -141,7 +133,7 @@ def _sweep(parts: Path) -> None:
 
 
 def _claim(root: Path, recipe: Recipe) -> None:
-    """Notes the recipe in the folder, or checks that it is the one already noted."""
+    """Write the recipe to the folder, or check that it equals the one already there."""
     note = root / "recipe.json"
     described = {
         **{name: value for name, value in vars(recipe).items() if name != "scene"},
@@ -154,18 +146,18 @@ def _claim(root: Path, recipe: Recipe) -> None:
         if note.read_text() != text:
             raise UserError(
                 f"{root} holds data of another recipe (see {note}); "
-                "choose another --root, or remove that folder."
+                "choose another --root, or remove the folder."
             )
     elif any((root / f"{split}.h5").exists() for split in SPLITS):
-        raise UserError(f"{root} already holds data made in another way; choose another --root.")
+        raise UserError(f"{root} already holds data without a recipe.json; choose another --root.")
     else:
         note.write_text(text)
 
 
 def _run(
-    waiting: deque[tuple[str, Job]], scratch: Path, processes: int, bar: tqdm[NoReturn]
+    waiting: deque[tuple[str, Job]], scratch: Path, processes: int, bar: Progress
 ) -> list[Failure]:
-    """Runs the jobs, so many at once, and moves the bar by a frame for each frame."""
+    """Run the jobs, at most `processes` at the same time, and update the bar for each frame."""
     failures: list[Failure] = []
     with selectors.DefaultSelector() as selector:
         running: list[_Worker] = []
@@ -187,11 +179,10 @@ def _run(
                     running.remove(worker)
                     worker.process.wait()
                     if worker.process.returncode != 0:
-                        failure = Failure(worker.name, worker.job.seed, worker.last_words())
-                        failures.append(failure)
+                        failures.append(failure := worker.failure())
                         bar.write(
                             f"{failure.name} (seed {failure.seed}) failed and is left out: "
-                            f"{failure.words}",
+                            f"{failure.reason}",
                             file=sys.stderr,
                         )
                         bar.update(worker.job.frames - worker.frames)
@@ -205,15 +196,15 @@ def _run(
 
 
 def _join(target: Path, sources: list[Path], failures: list[Failure]) -> None:
-    """Moves whole simulations into one file; chunks are copied as they lie, compressed."""
+    """Copy complete simulations into one file, without decompressing them."""
     if target.exists():
         return
     if not sources:
-        lost = [failure for failure in failures if failure.name.startswith(f"{target.stem}-")]
-        if lost:
+        failed = [failure for failure in failures if failure.name.startswith(f"{target.stem}-")]
+        if failed:
             raise UserError(
-                f"{target} would be empty: each of its {len(lost)} simulations failed; "
-                f"the first said: {lost[0].words}"
+                f"{target} would be empty: each of its {len(failed)} simulations failed; "
+                f"the first with {failed[0].reason}"
             )
         return
     partial = target.with_suffix(".h5.tmp")

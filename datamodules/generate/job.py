@@ -1,36 +1,60 @@
-"""What one solver process is told to do."""
+"""Job of one solver process, and its scene file in SPlisHSPlasH's format."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, field
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
-from datamodules.generate.scenes import Block, Body, Drop, Vector
+from datamodules.generate.mesh import write_box, write_drop
+from datamodules.generate.scenes import Block, Body, Drop, Vector, describe
 
 SolverName = Literal["WCSPH", "PCISPH", "IISPH", "DFSPH"]
+
+#: SPlisHSPlasH's numbers of its pressure solvers.
+_METHODS: dict[SolverName, int] = {"WCSPH": 0, "PCISPH": 1, "IISPH": 3, "DFSPH": 4}
+
+#: Default parameters of each pressure solver, from the example scenes of SPlisHSPlasH: the
+#: tolerance in per cent of the rest density, and the stiffness of WCSPH. With SPlisHSPlasH's
+#: default stiffness, a thousandth of it, the fluid falls through the floor.
+PARAMETERS: dict[SolverName, dict[str, float]] = {
+    "WCSPH": {"stiffness": 50000, "exponent": 7},
+    "PCISPH": {"maxIterations": 100, "maxError": 0.05},
+    "IISPH": {"maxIterations": 100, "maxError": 0.05},
+    "DFSPH": {"maxIterations": 100, "maxError": 0.05, "maxIterationsV": 100, "maxErrorV": 0.1},
+}
+
+#: Default time step of each pressure solver, s. In a step of WCSPH, which has no pressure
+#: solve, sound (19 m/s at its stiffness) may cross 0.4 of a particle.
+SOLVER_STEPS = {"WCSPH": 0.0005, "PCISPH": 0.0025, "IISPH": 0.0025, "DFSPH": 0.0025}
+
+#: Boundary handling of Akinci et al. 2012, which has boundary particles.
+AKINCI_2012 = 0
+#: Walls sampled on a regular triangle grid, the paper's "uniform sampling".
+REGULAR_TRIANGLES = 1
 
 
 @dataclass(frozen=True)
 class Job:
-    """What one process needs to know.
+    """Settings of one simulation.
 
     Attributes:
-        output: the file to leave when the simulation is whole.
-        scene: name of the scene kind.
-        solver: the pressure solver.
-        domain: edges of the box, m; its lower corner is the origin.
+        output: File to write once the simulation is complete.
+        scene: Name of the scene kind.
+        solver: Pressure solver.
+        domain: Edges of the box, m; its lower corner is the origin.
         particle_radius: m.
         gravity: m/s².
-        density0: kg/m³.
-        viscosity: coefficient of the solver's standard viscosity.
-        solver_step: the solver's time step, s.
-        steps_per_frame: solver steps between two stored frames.
-        frames: number of stored frames, the start included.
-        seed: entropy of this simulation's random generator.
-        bodies: the fluid at the start.
+        density0: Rest density, kg/m³.
+        viscosity: Coefficient of the solver's standard viscosity.
+        solver_step: Time step of the solver, s.
+        steps_per_frame: Solver steps between two stored frames.
+        frames: Number of stored frames, the start included.
+        seed: Seed of the random generator that drew the scene.
+        bodies: Fluid at the start.
         threads: OpenMP threads.
-        parameters: the pressure solver's own parameters, as it names them.
+        parameters: Parameters of the pressure solver, under SPlisHSPlasH's names.
     """
 
     output: str
@@ -50,14 +74,79 @@ class Job:
     parameters: dict[str, float] = field(default_factory=dict)
 
     def to_json(self) -> str:
-        """The job as text."""
-        bodies = [body.describe() for body in self.bodies]
-        return json.dumps({**asdict(self), "bodies": bodies})
+        """Return the job as JSON text."""
+        return json.dumps({**asdict(self), "bodies": [describe(body) for body in self.bodies]})
 
     @classmethod
     def from_json(cls, text: str) -> Job:
-        """The job from its text."""
+        """Return the job that `to_json` wrote."""
         values = json.loads(text)
         shapes = {"block": Block, "drop": Drop}
         values["bodies"] = [shapes[body.pop("shape")](**body) for body in values["bodies"]]
         return cls(**values)
+
+
+def scene_file(job: Job, folder: Path) -> dict[str, Any]:
+    """Return a job as a SPlisHSPlasH scene, and write the meshes it needs.
+
+    Args:
+        job: Settings of the simulation.
+        folder: Folder for the meshes.
+    """
+    radius = job.particle_radius
+    walls = folder / "walls.obj"
+    write_box(walls, job.domain)
+    blocks, models = [], []
+    for number, body in enumerate(job.bodies):
+        if isinstance(body, Block):
+            # SPlisHSPlasH leaves one spacing empty at each end of a block.
+            lower, upper = body.bounds()
+            start, end = (lower - radius).tolist(), (upper + radius).tolist()
+            blocks.append({"denseMode": 0, "start": start, "end": end})
+        else:
+            mesh = folder / f"body{number}.obj"
+            write_drop(mesh, body, radius)
+            models.append(
+                {
+                    "particleFile": str(mesh),
+                    "translation": list(body.center),
+                    "scale": [1.0, 1.0, 1.0],
+                    "mode": 0,
+                    "resolutionSDF": [30, 30, 30],
+                }
+            )
+    return {
+        "Configuration": {
+            "particleRadius": radius,
+            "simulationMethod": _METHODS[job.solver],
+            "gravitation": list(job.gravity),
+            "timeStepSize": job.solver_step,
+            "cflMethod": 0,
+            "boundaryHandlingMethod": AKINCI_2012,
+            "enableZSort": False,
+            "numberOfStepsPerRenderUpdate": 1,
+            job.solver: job.parameters,
+        },
+        "Materials": [
+            {
+                "id": "Fluid",
+                "density0": job.density0,
+                "viscosityMethod": 1,
+                "Standard viscosity": {"viscosity": job.viscosity},
+            }
+        ],
+        "RigidBodies": [
+            {
+                "geometryFile": str(walls),
+                "translation": [0, 0, 0],
+                "scale": [1, 1, 1],
+                "rotationAxis": [1, 0, 0],
+                "rotationAngle": 0,
+                "isDynamic": False,
+                "isWall": True,
+                "samplingMode": REGULAR_TRIANGLES,
+            }
+        ],
+        "FluidBlocks": blocks,
+        "FluidModels": models,
+    }

@@ -1,4 +1,4 @@
-"""Closed triangle meshes for the solver: the box of walls, a ball, a mesh of the user's."""
+"""Closed triangle meshes for the solver: the walls, a ball, or a mesh of the user."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from datamodules.generate.scenes import Drop, Vector
 
 
 def write_box(path: Path, domain: Vector) -> None:
-    """A closed box from the origin to the domain's upper corner, as triangles."""
+    """Write a closed box from the origin to the upper corner of the domain."""
     width, height, depth = domain
     corners = [(x, y, z) for x in (0.0, width) for y in (0.0, height) for z in (0.0, depth)]
     faces = ((1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4))
@@ -22,7 +22,7 @@ def write_box(path: Path, domain: Vector) -> None:
 
 
 def write_drop(path: Path, drop: Drop, particle_radius: float) -> None:
-    """The drop's surface around the origin: a ball, or its mesh scaled into the sphere."""
+    """Write the surface of a drop around the origin: a ball, or its mesh scaled to fit one."""
     if drop.mesh is None:
         vertices, triangles = _ball(drop.radius)
     else:
@@ -35,15 +35,15 @@ def write_drop(path: Path, drop: Drop, particle_radius: float) -> None:
 
 
 def _ball(radius: float) -> tuple[NDArray[np.float64], list[tuple[int, int, int]]]:
-    """A closed sphere of 24 x 48 faces, by latitude and longitude."""
+    """Return vertices and triangles of a sphere with 24 x 48 faces by latitude and longitude."""
     rows, columns = 24, 48
     polar = np.linspace(0, np.pi, rows + 1)[1:-1]
-    around = np.arange(columns) * 2 * np.pi / columns
+    azimuth = np.arange(columns) * 2 * np.pi / columns
     ring = np.stack(
         [
-            np.outer(np.sin(polar), np.cos(around)),
+            np.outer(np.sin(polar), np.cos(azimuth)),
             np.outer(np.cos(polar), np.ones(columns)),
-            np.outer(np.sin(polar), np.sin(around)),
+            np.outer(np.sin(polar), np.sin(azimuth)),
         ],
         axis=-1,
     ).reshape(-1, 3)
@@ -51,14 +51,14 @@ def _ball(radius: float) -> tuple[NDArray[np.float64], list[tuple[int, int, int]
     last = len(vertices)
     triangles: list[tuple[int, int, int]] = []
     for column in range(columns):
-        beside = (column + 1) % columns
-        triangles.append((1, 2 + beside, 2 + column))
+        following = (column + 1) % columns
+        triangles.append((1, 2 + following, 2 + column))
         for row in range(rows - 2):
             upper, lower = 2 + row * columns, 2 + (row + 1) * columns
-            triangles.append((upper + column, upper + beside, lower + column))
-            triangles.append((upper + beside, lower + beside, lower + column))
+            triangles.append((upper + column, upper + following, lower + column))
+            triangles.append((upper + following, lower + following, lower + column))
         bottom = 2 + (rows - 2) * columns
-        triangles.append((last, bottom + column, bottom + beside))
+        triangles.append((last, bottom + column, bottom + following))
     return vertices, triangles
 
 
@@ -71,22 +71,22 @@ def _write_obj(
 
 
 def _read_obj(path: Path) -> tuple[NDArray[np.float64], list[tuple[int, int, int]]]:
-    """Vertices and triangles of an OBJ file; faces of more corners are cut into fans."""
+    """Read vertices and triangles of an OBJ file; larger faces are split into triangles."""
     vertices: list[list[float]] = []
     triangles: list[tuple[int, int, int]] = []
     if not path.is_file():
         raise RuntimeError(f"{path}: there is no such file; a closed OBJ surface is needed")
     for line in path.read_text().splitlines():
-        words = line.split()
-        if words[:1] == ["v"]:
-            vertices.append([float(word) for word in words[1:4]])
-        elif words[:1] == ["f"]:
-            corners = [int(word.split("/")[0]) for word in words[1:]]
+        keyword, *values = line.split() or [""]
+        if keyword == "v":
+            vertices.append([float(value) for value in values[:3]])
+        elif keyword == "f":
+            corners = [int(value.split("/")[0]) for value in values]
             corners = [corner if corner > 0 else len(vertices) + 1 + corner for corner in corners]
             triangles += [(corners[0], second, third) for second, third in pairwise(corners[1:])]
     if not triangles:
-        raise RuntimeError(f"{path}: holds no faces; a closed OBJ surface is needed")
+        raise RuntimeError(f"{path}: there are no faces in it; a closed OBJ surface is needed")
     edges = Counter(frozenset(edge) for a, b, c in triangles for edge in ((a, b), (b, c), (c, a)))
-    if any(number != 2 for number in edges.values()):
+    if any(count != 2 for count in edges.values()):
         raise RuntimeError(f"{path}: the surface is open; each edge must belong to two faces")
     return np.array(vertices), triangles

@@ -1,4 +1,4 @@
-"""What a data set is made from."""
+"""Recipe: settings of a generated data set."""
 
 from __future__ import annotations
 
@@ -8,36 +8,35 @@ from pathlib import Path
 
 import numpy as np
 
-from datamodules.generate.job import Job, SolverName
-from datamodules.generate.scene_file import PARAMETERS, SOLVER_STEPS
+from datamodules.generate.job import PARAMETERS, SOLVER_STEPS, Job, SolverName
 from datamodules.generate.scenes import Body, SceneKind, Vector
 from datamodules.generate.symmetry import Symmetries
 from datamodules.schema import SPLITS
 from fluidsnet.errors import UserError
 
-#: So often a scene is drawn anew that is too much like another one.
+#: Greatest number of draws for a scene that differs from the others.
 _DRAWS = 1000
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """All that decides what a data set holds; one recipe and one seed, one data set.
+    """Settings that determine a data set.
 
     Attributes:
-        scene: the kind of scene, which draws the fluid.
-        particle_radius: m.
-        train: number of simulations for training.
-        val: number of simulations for validation.
-        test: number of simulations for the test.
-        frames: stored frames per simulation, the start included.
-        frame_interval: time between stored frames, s; a whole number of solver steps.
-        solver_step: the solver's fixed time step, s; 2.5 ms by default, 0.5 ms for WCSPH.
+        scene: Kind of scene, which draws the fluid.
+        particle_radius: Half the spacing of the particles, m.
+        train: Number of simulations for training.
+        val: Number of simulations for validation.
+        test: Number of simulations for the test.
+        frames: Stored frames per simulation, the start included.
+        frame_interval: Time between stored frames, s; a whole number of solver steps.
+        solver_step: Fixed time step of the solver, s; 2.5 ms by default, 0.5 ms for WCSPH.
         solver: IISPH (the paper's), WCSPH, PCISPH or DFSPH.
-        seed: every simulation draws its scene from this, its split and its own number.
-        gravity: m/s².
-        density0: rest density, kg/m³.
-        viscosity: coefficient of the solver's standard viscosity.
-        solver_parameters: of the pressure solver, as SPlisHSPlasH names them.
+        seed: Seed of the data set; with split and number it seeds each simulation.
+        gravity: Acceleration of gravity, m/s².
+        density0: Rest density, kg/m³.
+        viscosity: Coefficient of the solver's standard viscosity.
+        solver_parameters: Parameters of the pressure solver, under SPlisHSPlasH's names.
     """
 
     scene: SceneKind
@@ -65,30 +64,30 @@ class Recipe:
                 f"solver steps ({self.step} s)."
             )
         if self.frames < 2:
-            raise UserError(f"frames is {self.frames}; a simulation needs two at least.")
+            raise UserError(f"frames is {self.frames}; a simulation needs at least two.")
         if not self.particle_radius > 0:
             raise UserError(f"particle_radius is {self.particle_radius}; it must be above zero.")
         for split in SPLITS:
             if getattr(self, split) < 0:
-                raise UserError(f"{split} is {getattr(self, split)}; it must be zero at least.")
+                raise UserError(f"{split} is {getattr(self, split)}; it must be at least zero.")
         if self.train + self.val + self.test == 0:
             raise UserError("train, val and test are all zero; there is nothing to simulate.")
 
     @property
     def step(self) -> float:
-        """The solver's time step, s: the recipe's, or the solver's own default."""
+        """Time step of the solver, s: `solver_step`, or the default of the solver."""
         return SOLVER_STEPS[self.solver] if self.solver_step is None else self.solver_step
 
     def starts(self) -> dict[tuple[str, int], list[Body]]:
-        """What each simulation, by split and number, starts from.
+        """Draw the bodies of each simulation, by split and number.
 
-        Coarse particles leave few blocks to choose from, and a simulation in two splits, be it
-        mirrored or moved by less than a particle's radius, would make the test a test of memory.
-        So no two start alike in a mirror, except that training may have mirror images of its
-        own simulations, never the very same, where the kind of scene has nothing else left.
+        With coarse particles there are few different blocks, and a test simulation that is a
+        mirror image of a training simulation, or within a particle radius of it, would measure
+        memory. So no two starts are mirror images of each other. Where the kind of scene has no
+        other start left, training may have mirror images of its simulations, but no copies.
 
         Raises:
-            UserError: the kind of scene does not have that many different starts.
+            UserError: the kind of scene has too few different starts.
         """
         symmetries = Symmetries(self.scene.domain, self.gravity)
         drawn: dict[tuple[str, int], list[Body]] = {}
@@ -103,7 +102,7 @@ class Recipe:
         def is_mirrored_in_training(bodies: list[Body]) -> bool:
             return bodies not in drawn.values() and not is_like(held_out, bodies)
 
-        # What is held out comes first, so that it does not depend on how much is trained on.
+        # Test and validation are drawn first, so they do not depend on the size of training.
         for split in reversed(SPLITS):
             wanted = is_new
             for number in range(getattr(self, split)):
@@ -115,8 +114,8 @@ class Recipe:
                 if bodies is None:
                     raise UserError(
                         f"{type(self.scene).__name__} draws too few scenes that are no mirror "
-                        f"images of each other: {len(drawn)} were found for the "
-                        f"{self.train + self.val + self.test} simulations; take smaller "
+                        f"images of each other: {len(drawn)} of "
+                        f"{self.train + self.val + self.test} were found; use smaller "
                         "particles, wider ranges or fewer simulations."
                     )
                 drawn[split, number] = bodies
@@ -127,7 +126,7 @@ class Recipe:
     def _draw(
         self, random: np.random.Generator, wanted: Callable[[list[Body]], bool]
     ) -> list[Body] | None:
-        """A scene that is wanted, or None where there seems to be none."""
+        """Draw until a scene is wanted; return None after too many draws."""
         for _ in range(_DRAWS):
             bodies = self.scene.sample(random, self.particle_radius)
             if wanted(bodies):
@@ -135,11 +134,11 @@ class Recipe:
         return None
 
     def entropy(self, split: str, number: int) -> list[int]:
-        """The seed of a simulation."""
+        """Return the seed of a simulation."""
         return [self.seed, SPLITS.index(split), number]
 
     def job(self, split: str, number: int, bodies: list[Body], output: Path, threads: int) -> Job:
-        """The simulation of this number in a split, from one of the `starts`."""
+        """Return the job of a simulation, given its start from `starts`."""
         return Job(
             output=str(output),
             scene=type(self.scene).__name__,

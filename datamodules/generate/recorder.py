@@ -1,4 +1,4 @@
-"""The frames of a running simulation, checked and stored as the solver reaches them."""
+"""Recorder: checks and stores the frames of a running simulation."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from datamodules.schema import COMPRESSION, create_frames
 
 
 class EscapedError(RuntimeError):
-    """A particle left the domain, as it can in the solver too."""
+    """A particle left the domain."""
 
 
 class Recorder:
-    """Writes the frames of a running simulation to a file as the solver reaches them.
+    """Writer of the frames of a running simulation.
 
     Args:
-        solver: the solver's module, with a simulation that is ready to step.
-        job: what is simulated.
-        group: of the simulation, in a file open for writing.
-        report: a file descriptor that gets a line a frame.
+        solver: Module of the solver, with a simulation that is ready to step.
+        job: Settings of the simulation.
+        group: Group of the simulation in a file open for writing.
+        report: File descriptor that gets one line per frame.
     """
 
     def __init__(self, solver: ModuleType, job: Job, group: h5py.Group, report: int) -> None:
@@ -41,31 +41,31 @@ class Recorder:
         self._store(position, velocity)
 
     def step(self, seconds: float) -> None:
-        """Takes note of a step that the solver has done.
+        """Record a step of the solver.
 
         Args:
-            seconds: that the solver took for it.
+            seconds: Wall time of the step, s.
 
         Raises:
             EscapedError: a particle left the domain.
-            RuntimeError: a particle is not finite, or the step has another length.
+            RuntimeError: a particle is not finite, or the step has a different length.
         """
         self.seconds += seconds
         self._steps += 1
-        self._keep_time()
+        self._correct_clock()
         if self._steps % self.job.steps_per_frame == 0:
             self._store(*self._fluid())
 
     def finish(self) -> None:
-        """Writes what is known only at the end."""
+        """Write times and solver seconds, after the last frame."""
         self.group["time"] = np.array(self._times)
         self.group["solver_seconds"] = np.array(self._solver_seconds)
 
-    def _keep_time(self) -> None:
-        """Checks the solver's clock, and sets it.
+    def _correct_clock(self) -> None:
+        """Check and set the clock of the solver.
 
-        The clock is the sum of its steps in single precision, which drifts by 2 % of a step
-        over the paper's 1,500 and by whole steps over more.
+        The clock is the sum of the steps in single precision, which drifts by 2 % of a step
+        over the paper's 1,500 steps and by whole steps over more.
         """
         clock, step = self.solver.TimeManager.getCurrent(), self.job.solver_step
         now, due = clock.getTime(), self._steps * step
@@ -78,7 +78,7 @@ class Recorder:
         models = [
             simulation.getFluidModel(number) for number in range(simulation.numberOfFluidModels())
         ]
-        # The buffers are the solver's own and have room for emitters: cut and copy.
+        # The buffers belong to the solver and have room for emitters: cut and copy.
         position, velocity = (
             np.concatenate(
                 [
@@ -108,11 +108,10 @@ class Recorder:
         self._solver_seconds.append(self.seconds)
         self.seconds = 0.0
         self.frames += 1
-        # A broken pipe means that nobody waits for this simulation any more: stop.
+        # A broken pipe stops this process: the one that started it is gone.
         os.write(self.report, b"frame\n")
 
     def _store_solids(self) -> None:
-        """The walls' particles."""
         simulation = self.solver.Simulation.getCurrent()
         points = [
             model.getPosition(row)

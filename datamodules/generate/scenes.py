@@ -1,7 +1,7 @@
 """Random scenes of the paper's three kinds (section 5.1, figure 5).
 
-A scene kind draws bodies of fluid from a random generator. Sizes are shares of
-the domain, so that the same kind serves a domain of any size. The up axis is y.
+A scene kind draws bodies of fluid with a random generator. Sizes are shares of
+the domain, so a kind works for a domain of any size. The up axis is y.
 """
 
 from __future__ import annotations
@@ -20,64 +20,61 @@ from fluidsnet.errors import UserError
 Vector = tuple[float, float, float]
 Range = tuple[float, float]
 
-#: Particle radii between a wall and the surface of the fluid at the start. With boundary
-#: particles after Akinci et al. 2012, fluid at one radius is 6 % too dense at a wall and 12 %
+#: Particle radii between a wall and the surface of the fluid at the start. With the boundary
+#: particles of Akinci et al. 2012, fluid at one radius is 6 % too dense at a wall and 12 %
 #: in a corner, and bursts apart in the first step; from 1.2 on it is at rest density.
 CLEARANCE = 1.25
 
-#: The solver leaves a block of a single layer of particles out, without a word.
+#: Fewest layers of particles in a block: SPlisHSPlasH silently drops a block of one layer.
 FEWEST_LAYERS = 2
 
 
 @final
 @dataclass(frozen=True)
 class Block:
-    """A cuboid of fluid: the box that its particles' surfaces fill, in m."""
+    """Cuboid of fluid, up to the surfaces of its particles, in m."""
 
     lower: Vector
     upper: Vector
 
-    def describe(self) -> dict[str, Any]:
-        """The body as JSON keeps it."""
-        return {"shape": "block", **asdict(self)}
-
     def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The lower and upper corner of the box around the body, in m."""
+        """Return the lower and upper corner of the bounding box, in m."""
         return np.array(self.lower), np.array(self.upper)
 
 
 @final
 @dataclass(frozen=True)
 class Drop:
-    """A body inside a sphere: the ball itself, or a closed mesh scaled to fit it.
+    """Ball of fluid, or a closed mesh scaled to fit into one.
 
     Attributes:
-        center: of the sphere, in m.
-        radius: of the sphere, in m.
-        mesh: a Wavefront OBJ file with a closed surface, or None for the ball.
+        center: Center of the ball, in m.
+        radius: Radius of the ball, in m.
+        mesh: Wavefront OBJ file with a closed surface, or None for the ball.
     """
 
     center: Vector
     radius: float
     mesh: str | None = None
 
-    def describe(self) -> dict[str, Any]:
-        """The body as JSON keeps it."""
-        return {"shape": "drop", **asdict(self)}
-
     def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The lower and upper corner of the box around the body, in m."""
+        """Return the lower and upper corner of the bounding box, in m."""
         return np.array(self.center) - self.radius, np.array(self.center) + self.radius
 
 
 Body = Block | Drop
 
 
+def describe(body: Body) -> dict[str, Any]:
+    """Return a body as JSON values."""
+    return {"shape": type(body).__name__.lower(), **asdict(body)}
+
+
 class SceneKind(ABC):
-    """A family of scenes: one call, one random scene.
+    """Distribution of random scenes.
 
     Args:
-        domain: edges of the box of fluid and air, in m; its lower corner is the origin.
+        domain: Edges of the box of fluid and air, in m; its lower corner is the origin.
     """
 
     def __init__(self, domain: Vector) -> None:
@@ -92,24 +89,26 @@ class SceneKind(ABC):
         """
 
     def room(self, particle_radius: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The lower and upper corner, in m, between which fluid may start."""
+        """Return the lower and upper corner, in m, of the box in which fluid may start."""
         clearance = CLEARANCE * particle_radius
-        return (
-            np.full(3, clearance),
-            np.array(self.domain, dtype=np.float64) - clearance,
-        )
+        return np.full(3, clearance), np.array(self.domain, dtype=np.float64) - clearance
 
     def block(
         self, corner: Sequence[float], edges: Sequence[float], particle_radius: float
     ) -> Block:
-        """A block of whole particles, of about these edges, moved until it is inside.
+        """Return a block of whole particles inside the walls.
+
+        Args:
+            corner: Lower corner before the block is moved inside, in m.
+            edges: Edges before they are rounded to whole particles, in m.
+            particle_radius: In m.
 
         Raises:
             UserError: the domain is too small for such particles.
         """
         lower_limit, upper_limit = self.room(particle_radius)
         spacing = 2 * particle_radius
-        # The small share keeps 0.3 / 0.1 from losing a layer to rounding.
+        # The tolerance keeps 0.3 / 0.1 from losing a layer to rounding.
         most = np.floor((upper_limit - lower_limit) / spacing + 1e-6)
         if (most < FEWEST_LAYERS).any():
             raise UserError(
@@ -124,13 +123,13 @@ class SceneKind(ABC):
 
 @final
 class DamBreak(SceneKind):
-    """A column of fluid in a corner of a basin that collapses (figures 5b and 8).
+    """Column of fluid that collapses in a corner of a basin (figures 5b and 8).
 
     Args:
-        domain: edges of the box, in m.
-        width: of the column, as a share of the domain's x edge.
-        height: of the column, as a share of the domain's y edge.
-        depth: of the column, as a share of the domain's z edge.
+        domain: Edges of the box, in m.
+        width: Width of the column, as a share of the x edge of the domain.
+        height: Height of the column, as a share of the y edge of the domain.
+        depth: Depth of the column, as a share of the z edge of the domain.
     """
 
     def __init__(
@@ -153,12 +152,12 @@ class DamBreak(SceneKind):
 
 @final
 class CuboidBasin(SceneKind):
-    """A cuboid of fluid that drops into an empty basin (figures 5a and 7).
+    """Cuboid of fluid that falls into an empty basin (figures 5a and 7).
 
     Args:
-        domain: edges of the box, in m.
-        edge: each edge of the cuboid, as a share of the domain's shortest edge.
-        lift: height of the cuboid's underside, as a share of the domain's y edge.
+        domain: Edges of the box, in m.
+        edge: Each edge of the cuboid, as a share of the shortest edge of the domain.
+        lift: Height of the cuboid's lower face, as a share of the y edge of the domain.
     """
 
     def __init__(
@@ -180,14 +179,14 @@ class CuboidBasin(SceneKind):
 
 @final
 class DropPool(SceneKind):
-    """A drop that falls into a pool of resting fluid (figures 5c and 9).
+    """Drop that falls into a pool of resting fluid (figures 5c and 9).
 
     Args:
-        domain: edges of the box, in m.
-        pool: depth of the pool, as a share of the domain's y edge.
-        radius: of the drop, as a share of the domain's shortest edge.
-        fall: from the pool's surface to the drop, as a share of the domain's y edge.
-        mesh: an OBJ file with a closed surface to drop in place of a ball.
+        domain: Edges of the box, in m.
+        pool: Depth of the pool, as a share of the y edge of the domain.
+        radius: Radius of the drop, as a share of the shortest edge of the domain.
+        fall: Height of the drop above the pool, as a share of the y edge of the domain.
+        mesh: OBJ file with a closed surface to use in place of a ball.
     """
 
     def __init__(

@@ -1,9 +1,9 @@
-"""One simulation in one process: the only place that imports SPlisHSPlasH.
+"""Process of one simulation; the only module that imports SPlisHSPlasH.
 
-The solver's simulator is a singleton, so `datamodules.generate.dataset` starts this
-module once a simulation, as ``python -m datamodules.generate.solver job.json FD``. It
-writes one line to the file descriptor FD for each frame that is done, and imports
-neither torch nor Lightning, since it starts often.
+SPlisHSPlasH's simulator is a singleton, so `datamodules.generate.dataset` starts this
+module once per simulation, as ``python -m datamodules.generate.solver job.json FD``. It
+writes one line to the file descriptor FD per frame, and imports neither torch nor
+Lightning, which would take longer than a short simulation.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from types import ModuleType
 
 import h5py
 
-from datamodules.generate.job import Job
+from datamodules.generate.job import AKINCI_2012, REGULAR_TRIANGLES, Job, scene_file
 from datamodules.generate.recorder import EscapedError, Recorder
-from datamodules.generate.scene_file import AKINCI_2012, REGULAR_TRIANGLES, scene_file
+from datamodules.generate.scenes import describe
 from datamodules.schema import Header
 from fluidsnet.errors import UserError
 
-#: s of simulated time that no simulation reaches.
+#: Simulated time that no simulation reaches, s.
 _NEVER = 1e6
 
 
 def load_solver() -> ModuleType:
-    """Imports pysplishsplash.
+    """Import pysplishsplash.
 
-    Its extension crashes where the system's libGL is loaded after it, so libGL comes first.
+    It crashes if libGL of the system is loaded after it, so libGL is loaded first.
 
     Raises:
-        UserError: where the solver or the libGL it links to is not installed.
+        UserError: the solver or libGL is not installed.
     """
     try:
         ctypes.CDLL("libGL.so.1", mode=ctypes.RTLD_GLOBAL)
@@ -57,10 +57,10 @@ def load_solver() -> ModuleType:
 
 
 def solver_version() -> str:
-    """Version of the installed solver.
+    """Return the version of the installed solver.
 
     Raises:
-        UserError: where it is not installed.
+        UserError: it is not installed.
     """
     try:
         return metadata.version("pysplishsplash")
@@ -72,11 +72,11 @@ def solver_version() -> str:
 
 
 def simulate(job: Job, report: int) -> None:
-    """Runs a job and leaves its file under its name once it is whole.
+    """Run a job and write its file, which gets its name once it is complete.
 
     Args:
-        job: what to simulate.
-        report: a file descriptor that gets a line a frame.
+        job: Settings of the simulation.
+        report: File descriptor that gets one line per frame.
 
     Raises:
         EscapedError: a particle left the domain.
@@ -84,7 +84,7 @@ def simulate(job: Job, report: int) -> None:
         UserError: the solver is not installed.
     """
     solver = load_solver()
-    # The solver looks for files elsewhere than in the working folder.
+    # SPlisHSPlasH does not resolve paths from the working folder.
     output = Path(job.output).resolve()
     partial = output.with_name(f"{output.name}.{os.getpid()}.tmp")
     try:
@@ -102,8 +102,8 @@ def simulate(job: Job, report: int) -> None:
                 stopAt=_NEVER,
             )
             base.initSimulation()
-            # The solver samples the walls only when it is told to run. With its clock past the
-            # end it does that and no step, so that each step can be timed by itself.
+            # SPlisHSPlasH samples the walls in `runSimulation`. With its clock past the end it
+            # does that and no step, so that each step can be timed.
             clock = solver.TimeManager.getCurrent()
             clock.setTime(2 * _NEVER)
             base.runSimulation()
@@ -112,9 +112,7 @@ def simulate(job: Job, report: int) -> None:
                 _header(job).write(file)
                 group = file.create_group("00000")
                 group.attrs["seed"] = json.dumps(job.seed)
-                group.attrs["scene_parameters"] = json.dumps(
-                    [body.describe() for body in job.bodies]
-                )
+                group.attrs["scene_parameters"] = json.dumps([*map(describe, job.bodies)])
                 group.attrs["threads"] = job.threads
                 recorder = Recorder(solver, job, group, report)
                 while recorder.frames < job.frames:
@@ -155,18 +153,14 @@ def _header(job: Job) -> Header:
 
 
 def main(arguments: list[str]) -> int:
-    """Runs the job file named first, reporting to the descriptor named second."""
+    """Run a job: the arguments are its file and the file descriptor to report to."""
     job = Job.from_json(Path(arguments[0]).read_text())
-    # Both are read when the solver's OpenMP library loads. Passive: threads that spin
-    # while they wait slow a busy machine thirtyfold.
-    os.environ["OMP_NUM_THREADS"] = str(job.threads)
-    os.environ["OMP_WAIT_POLICY"] = "passive"
     try:
         simulate(job, int(arguments[1]))
     except BrokenPipeError:
         return 1
     except (UserError, EscapedError, RuntimeError) as error:
-        print(f"{error}", file=sys.stderr, flush=True)
+        print(error, file=sys.stderr, flush=True)
         return 1
     return 0
 

@@ -1,4 +1,4 @@
-"""Which starts are one and the same simulation, seen in a mirror."""
+"""Mirror symmetries of a domain, to find starts that are the same simulation."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from datamodules.generate.scenes import Body, Vector
 
 @final
 class Symmetries:
-    """The mirrors and swaps of axes that map a box to itself and leave gravity as it is.
+    """Mirrors and swaps of axes that map a box and gravity to themselves.
 
     Under gravity along y these are the mirrors of x and z, and, where the box is as wide as it
-    is deep, their swap: what `datamodules.augmentation.BoxSymmetry` does to a sample.
+    is deep, their swap: the changes of `datamodules.augmentation.BoxSymmetry`.
 
     Args:
-        domain: edges of the box, m; its lower corner is the origin.
+        domain: Edges of the box, m; its lower corner is the origin.
         gravity: m/s².
     """
 
     def __init__(self, domain: Vector, gravity: Vector) -> None:
         self._edges, pull = np.array(domain), np.array(gravity)
-        # The first does nothing.
+        # The first is the identity; `alike` relies on it.
         maps = [
             (axes, signs)
             for axes in permutations(range(3))
@@ -37,13 +37,13 @@ class Symmetries:
         self._mirrors = np.array([signs for _, signs in maps]) < 0
 
     def images(self, bodies: list[Body]) -> NDArray[np.float64]:
-        """The boxes around the bodies in each mirror.
+        """Compute the bounding boxes of the bodies under each symmetry.
 
         Args:
-            bodies: of a scene.
+            bodies: Bodies of a scene.
 
         Returns:
-            (S, B, 2, 3): lower and upper corner, m, of B bodies in S mirrors.
+            (S, B, 2, 3): lower and upper corner, m, of B bodies under S symmetries.
         """
         corners = np.array([body.bounds() for body in bodies])
         turned = np.moveaxis(corners[..., self._axes], 2, 0)
@@ -51,19 +51,20 @@ class Symmetries:
         return np.sort(np.where(mirrors, self._edges - turned, turned), axis=2)
 
     def alike(self, first: list[Body], second: list[Body], distance: float) -> bool:
-        """Whether some mirror brings each body of one scene onto its like in another.
+        """Return whether a symmetry maps each body of one scene onto that of another.
 
-        A mesh counts as its own mirror image, so that too much is called alike, never too little.
+        A mesh is taken to be symmetric, so different scenes may count as alike, but never the
+        reverse.
 
         Args:
-            first: the bodies of a scene.
-            second: those of another.
-            distance: m by which the corners of two boxes may differ and be the same.
+            first: Bodies of a scene.
+            second: Bodies of another scene.
+            distance: Greatest distance between the corners of two equal boxes, m.
         """
         if [_form(body) for body in first] != [_form(body) for body in second]:
             return False
-        apart = np.abs(self.images(first) - self.images(second)[0])
-        return bool((apart.max(axis=(1, 2, 3)) < distance).any())
+        distances = np.abs(self.images(first) - self.images(second)[0])
+        return bool((distances.max(axis=(1, 2, 3)) < distance).any())
 
 
 def _form(body: Body) -> tuple[str, str | None]:

@@ -1,4 +1,4 @@
-"""What leaves the house: files for ParaView, and pictures."""
+"""Export of particles: VTKHDF files for ParaView, and pictures."""
 
 from fluidsnet.export.render import Panel as Panel
 from fluidsnet.export.render import side_by_side as side_by_side

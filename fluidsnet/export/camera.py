@@ -1,4 +1,4 @@
-"""The perspective that particles are drawn in: seen from slightly above, y up."""
+"""Perspective camera for pictures of particles: seen from slightly above, y up."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-_NARROWEST = 400  # pixels, for the title
+_MIN_WIDTH = 400  # pixels, room for the title
 
 
 class Camera:
-    """Looks at the middle of the box; the box fills the picture.
+    """Camera that looks at the center of a box, which fills the picture.
 
     Attributes:
-        width, height: of the picture, pixels.
-        distance: from the eye to the middle of the box, m.
+        width, height: Size of the picture, pixels.
+        distance: Distance from the eye to the center of the box, m.
         eye: (3,), m.
 
     Args:
-        lower: (3,), the box's lower corner, m.
-        upper: (3,), its upper corner, m.
-        most: width and height of the picture at most, pixels.
+        lower: (3,) lower corner of the box, m.
+        upper: (3,) upper corner of the box, m.
+        max_size: Greatest width and height of the picture, pixels.
     """
 
-    def __init__(self, lower: Floats, upper: Floats, most: tuple[int, int]) -> None:
+    def __init__(self, lower: Floats, upper: Floats, max_size: tuple[int, int]) -> None:
         self.lower, self.upper = lower, upper
         turn, rise = np.radians(28.0), np.radians(20.0)
         backward = np.array(
@@ -40,26 +40,26 @@ class Camera:
         first, last = corners.min(axis=0), corners.max(axis=0)
         margin = 0.02 * float((last - first).max())
         size = last - first + 2 * margin
-        self._pixels = float(np.min(np.array(most) / size))
+        self._pixels = float(np.min(np.array(max_size) / size))
         self._origin = np.array([first[0] - margin, first[1] - margin]) * self._pixels
         self.width, self.height = (int(np.ceil(extent)) for extent in size * self._pixels)
-        narrowest = min(_NARROWEST, most[0])
-        if self.width < narrowest:
-            self._origin[0] -= (narrowest - self.width) / 2
-            self.width = narrowest
+        min_width = min(_MIN_WIDTH, max_size[0])
+        if self.width < min_width:
+            self._origin[0] -= (min_width - self.width) / 2
+            self.width = min_width
 
     def corners(self) -> Floats:
-        """The box's corners (8, 3), m; bit a of a row's number says upper on axis a."""
+        """Return the corners (8, 3) of the box, m; bit a of a row's index means upper on axis a."""
         upper = (np.arange(8)[:, None] >> np.arange(3)) & 1
         return np.where(upper, self.upper, self.lower)
 
     def project(self, points: Floats) -> Floats:
-        """Turns points (N, 3), m, into (N, 3): pixels right and down, depth in m."""
+        """Project points (N, 3), m, to (N, 3): pixels right and down, and depth in m."""
         right, up, backward = (self._axes @ (points - self.eye).T).astype(np.float64)
         depth = -backward
         across = np.stack([right, -up]) / depth * self.distance * self._pixels
         return np.column_stack([across.T - self._origin, depth])
 
     def pixels_per_meter(self, depth: Floats) -> Floats:
-        """How large a meter is at a depth (N,), m."""
+        """Return the pixels per meter at a depth (N,), m."""
         return self.distance * self._pixels / depth

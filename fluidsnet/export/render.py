@@ -1,7 +1,7 @@
-"""Pictures of particles: the truth and predictions of it, at several times.
+"""Pictures of particles: panels such as truth and prediction at several times.
 
-Each particle is drawn as a lit sphere into a depth buffer, seen in perspective from slightly
-above; y is up. Color is speed, blue at rest and whiter the faster, as in Fig. 12 of the paper.
+Each particle is drawn as a lit sphere with a depth buffer, in perspective from slightly above;
+y is up. Color is speed, from blue at rest to white, as in Fig. 12 of the paper.
 """
 
 from __future__ import annotations
@@ -24,22 +24,21 @@ if TYPE_CHECKING:
 _BACKGROUND, _FLOOR, _LINES, _TEXT = "#0c1016", "#171d27", "#6d7a8c", "#e4e9f0"
 
 _DPI = 100
-_PANEL = (640, 460)  # the most a panel takes, pixels
-# Of more than two columns: the widest picture, and the pixels of all panels, which the file's
-# size goes with.
-_WIDEST, _MOST_PIXELS = 2400, 3_200_000
-_GAP, _TITLE, _BAR, _APART = 24, 38, 110, 12  # pixels
-_FINE = 2  # the spheres are drawn this much larger, then averaged down: smooth outlines
+_PANEL = (640, 460)  # greatest size of a panel, pixels
+# With more than two columns: greatest width, and pixels of all panels, to bound the file size.
+_MAX_WIDTH, _MAX_PIXELS = 2400, 3_200_000
+_GAP, _TITLE, _BAR, _TITLE_GAP = 24, 38, 110, 12  # pixels
+_SUPERSAMPLING = 2  # spheres are drawn this much larger, then averaged, for smooth outlines
 
 _TOWARDS_LIGHT = np.array([-0.35, 0.75, 0.56])  # right, up, towards the eye
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One picture of a state.
+    """Picture of one state.
 
     Attributes:
-        title: above it, such as ``truth (IISPH), 0.50 s``.
+        title: Title, such as ``truth (IISPH), 0.50 s``.
         position: (N, 3), m, y up.
         speed: (N,), m/s.
     """
@@ -58,25 +57,24 @@ def side_by_side(
     speed_max: float | None = None,
     columns: int = 2,
 ) -> None:
-    """Draw panels in columns to a PNG file, all with one scale of color.
+    """Draw panels in columns to a PNG file, all with one color scale.
 
-    More than two columns have smaller panels: the picture gets no wider than 2,400 pixels.
-
-    A particle that is not finite, or too far away to be in the picture, is counted in the
-    title of its panel: a prediction that blew up shows.
+    More than two columns have smaller panels: the picture is at most 2,400 pixels wide.
+    Particles that are not finite, or outside the picture, are counted in the title of their
+    panel.
 
     Args:
-        path: of the picture.
-        panels: row after row, such as the truth then the prediction.
-        domain_lower: (3,), the box's lower corner, m.
-        domain_upper: (3,), its upper corner, m.
+        path: Path of the picture.
+        panels: Panels, row after row, such as the truth then the prediction.
+        domain_lower: (3,) lower corner of the box, m.
+        domain_upper: (3,) upper corner of the box, m.
         particle_radius: m.
-        speed_max: where the scale ends, m/s; by default the fastest of all panels but for one
-            particle in 200.
-        columns: how many panels are in a row.
+        speed_max: Upper end of the color scale, m/s; by default the 99.5th percentile of the
+            speeds in all panels.
+        columns: Number of panels in a row.
 
     Raises:
-        ValueError: the panels do not fill their rows, a panel's shapes do not fit each other, or
+        ValueError: the panels do not fill their rows, the shapes in a panel do not match, or
             a number is not above zero.
     """
     if speed_max is not None and not speed_max > 0:
@@ -89,7 +87,7 @@ def side_by_side(
         if panel.position.shape != (len(panel.speed), 3) or panel.speed.ndim != 1:
             shapes = f"{panel.position.shape} and {panel.speed.shape}"
             raise ValueError(f"panel {panel.title!r}: expected (N, 3) and (N,), not {shapes}")
-    # Imported here: whoever only writes files need not wait for it.
+    # Imported here because matplotlib is slow to import.
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
@@ -117,20 +115,21 @@ def side_by_side(
     bar.tick_params(colors=_TEXT, labelsize=10, length=3)
     drawing = BytesIO()
     figure.savefig(drawing, dpi=_DPI, facecolor=_BACKGROUND, pil_kwargs={"compress_level": 0})
-    # Blues and grays alone: 256 colors look the same and take a third of the bytes.
+    # The picture is blue and gray: 256 colors look the same and take a third of the bytes.
     picture = Image.open(drawing).convert("RGB")
     picture = picture.quantize(palette=picture.quantize(256), dither=Image.Dither.FLOYDSTEINBERG)
     picture.save(path, format="PNG", optimize=True)
 
 
 def _panel_size(rows: int, columns: int) -> tuple[int, int]:
-    """Width and height that a panel takes at most, pixels."""
+    """Return the greatest width and height of a panel, pixels."""
     width, height = _PANEL
     if columns <= 2:
         return _PANEL
-    within = (_WIDEST - _BAR) / columns - _GAP - 1  # sizes are rounded up
-    share = min(1.0, within / width, (_MOST_PIXELS / (rows * columns * width * height)) ** 0.5)
-    return int(share * width), int(share * height)
+    available = (_MAX_WIDTH - _BAR) / columns - _GAP - 1  # sizes are rounded up
+    shrunk = (_MAX_PIXELS / (rows * columns * width * height)) ** 0.5
+    scale = min(1.0, available / width, shrunk)
+    return int(scale * width), int(scale * height)
 
 
 def _draw(axes: Axes, camera: Camera, panel: Panel, radius: float, top: float) -> None:
@@ -144,7 +143,7 @@ def _draw(axes: Axes, camera: Camera, panel: Panel, radius: float, top: float) -
             if start >> axis & 1:
                 continue
             ends = corners[[start, start | 1 << axis]]
-            # An edge is far if neither of its two faces is turned to the eye.
+            # An edge is far if neither of its two faces faces the eye.
             far = not any(facing[start >> other & 1][other] for other in {0, 1, 2} - {axis})
             order, alpha = (1, 0.5) if far else (3, 0.7)
             axes.plot(*ends[:, :2].T, color=_LINES, linewidth=1.0, zorder=order, alpha=alpha)
@@ -155,9 +154,10 @@ def _draw(axes: Axes, camera: Camera, panel: Panel, radius: float, top: float) -
     axes.set_axis_off()
     titles = [(axes.set_title(panel.title, color=_TEXT, fontsize=12, loc="left", pad=6), 12)]
     if drawn < len(panel.position):
-        lost = f"{len(panel.position) - drawn} of {len(panel.position)} particles out of sight"
-        titles.append((axes.set_title(lost, color=_TEXT, fontsize=10, loc="right", pad=6), 10))
-    needed = sum(title.get_window_extent().width + _APART for title, _ in titles) - _APART
+        hidden = f"{len(panel.position) - drawn} of {len(panel.position)} particles out of sight"
+        titles.append((axes.set_title(hidden, color=_TEXT, fontsize=10, loc="right", pad=6), 10))
+    needed = sum(title.get_window_extent().width + _TITLE_GAP for title, _ in titles)
+    needed -= _TITLE_GAP
     if needed > camera.width:
         for title, size in titles:
             title.set_fontsize(size * camera.width / needed)
@@ -169,21 +169,21 @@ def _spheres(
     """Draw the particles.
 
     Returns:
-        picture (height, width, 4), red, green, blue, opacity; and how many particles are in it.
+        Picture (height, width, 4) of red, green, blue, opacity; and the number of particles in it.
     """
-    width, height = camera.width * _FINE, camera.height * _FINE
+    width, height = camera.width * _SUPERSAMPLING, camera.height * _SUPERSAMPLING
     position = np.asarray(panel.position, float)
     with np.errstate(all="ignore"):
         center = camera.project(position)
     x, y, depth = center.T
-    x, y = x * _FINE, y * _FINE
+    x, y = x * _SUPERSAMPLING, y * _SUPERSAMPLING
     with np.errstate(invalid="ignore"):
         seen = np.isfinite(center).all(axis=1) & (depth > 0.2 * camera.distance)
         seen &= (x >= 0) & (x < width) & (y >= 0) & (y < height)
     order = np.flatnonzero(seen)
-    order = order[np.argsort(-depth[order])]  # the nearest last: of two writes the last stays
+    order = order[np.argsort(-depth[order])]  # nearest last: the last write stays
     x, y, depth = x[order], y[order], depth[order]
-    size = np.maximum(radius * camera.pixels_per_meter(depth) * _FINE, 0.8)
+    size = np.maximum(radius * camera.pixels_per_meter(depth) * _SUPERSAMPLING, 0.8)
 
     nearest = np.full(height * width, np.inf)
     owner = np.full(height * width, -1)
@@ -191,29 +191,30 @@ def _spheres(
     for down in range(-reach, reach + 1):
         for across in range(-reach, reach + 1):
             column, line = x.astype(int) + across, y.astype(int) + down
-            off = ((column + 0.5 - x) ** 2 + (line + 0.5 - y) ** 2) / size**2
-            hit = (off < 1) & (column >= 0) & (column < width) & (line >= 0) & (line < height)
-            who = np.flatnonzero(hit)
-            pixel = line[who] * width + column[who]
-            surface = depth[who] - radius * np.sqrt(1 - off[who])
+            squared = ((column + 0.5 - x) ** 2 + (line + 0.5 - y) ** 2) / size**2
+            hit = (squared < 1) & (column >= 0) & (column < width) & (line >= 0) & (line < height)
+            particle = np.flatnonzero(hit)
+            pixel = line[particle] * width + column[particle]
+            surface = depth[particle] - radius * np.sqrt(1 - squared[particle])
             front = surface < nearest[pixel]
-            nearest[pixel[front]], owner[pixel[front]] = surface[front], who[front]
+            nearest[pixel[front]], owner[pixel[front]] = surface[front], particle[front]
 
     filled = np.flatnonzero(owner >= 0)
-    who = owner[filled]
+    particle = owner[filled]
     normal = np.stack(
         [
-            (filled % width + 0.5 - x[who]) / size[who],
-            -(filled // width + 0.5 - y[who]) / size[who],
+            (filled % width + 0.5 - x[particle]) / size[particle],
+            -(filled // width + 0.5 - y[particle]) / size[particle],
         ]
     )
     normal = np.vstack([normal, np.sqrt(np.maximum(1 - (normal**2).sum(axis=0), 0))])
     light = 0.62 + 0.43 * np.clip(_TOWARDS_LIGHT @ normal, 0, 1)
     paint = speed_colors(panel.speed[order], top)
     image = np.zeros((height * width, 4), dtype=np.float32)
-    image[filled, :3] = np.clip(paint[who] * light[:, None], 0, 1)
+    image[filled, :3] = np.clip(paint[particle] * light[:, None], 0, 1)
     image[filled, 3] = 1
-    blocks = image.reshape(camera.height, _FINE, camera.width, _FINE, 4).sum(axis=(1, 3))
+    shape = (camera.height, _SUPERSAMPLING, camera.width, _SUPERSAMPLING, 4)
+    blocks = image.reshape(shape).sum(axis=(1, 3))
     opacity = blocks[..., 3:]
     blocks[..., :3] /= np.maximum(opacity, 1)
-    return np.concatenate([blocks[..., :3], opacity / _FINE**2], axis=2), len(order)
+    return np.concatenate([blocks[..., :3], opacity / _SUPERSAMPLING**2], axis=2), len(order)

@@ -1,16 +1,16 @@
-"""Rollouts as one temporal VTKHDF file, which ParaView and VTK play.
+"""Temporal VTKHDF file of a rollout, for ParaView and VTK.
 
-The layout, T steps of N particles::
+Layout, for T steps of N particles::
 
     /VTKHDF                            attributes: Version, Type = PolyData
-    /VTKHDF/Points                     (T·N, 3) float32, m       one step a chunk
-    /VTKHDF/PointData/<name>           (T·N,) or (T·N, 3)        one step a chunk
-    /VTKHDF/FieldData/<name>           (T,) float64              one number a step
+    /VTKHDF/Points                     (T·N, 3) float32, m       one step per chunk
+    /VTKHDF/PointData/<name>           (T·N,) or (T·N, 3)        one step per chunk
+    /VTKHDF/FieldData/<name>           (T,) float64              one number per step
     /VTKHDF/Vertices/...               N cells of one point, stored once
-    /VTKHDF/Lines, Polygons, Strips    empty; the format wants them
+    /VTKHDF/Lines, Polygons, Strips    empty; the format requires them
     /VTKHDF/Steps                      attribute: NSteps = T
     /VTKHDF/Steps/Values               (T,) float64, s
-    /VTKHDF/Steps/...Offsets           (T,) or (T, 4) int64: where a step begins in the above
+    /VTKHDF/Steps/...Offsets           (T,) or (T, 4) int64: where a step starts in the above
 """
 
 from __future__ import annotations
@@ -31,19 +31,18 @@ Array: TypeAlias = NDArray[Any]
 
 _COMPRESSION: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 
-#: In the order of the columns of CellOffsets and ConnectivityIdOffsets.
+#: Topologies, in the order of the columns of CellOffsets and ConnectivityIdOffsets.
 _TOPOLOGIES = ("Vertices", "Lines", "Polygons", "Strips")
 
 
 class TrajectoryFile:
-    """Writes a rollout step by step; memory does not grow with the number of steps.
+    """Writer of a rollout, step by step; memory does not grow with the number of steps.
 
-    The file is built as ``<path>.tmp`` and renamed to ``<path>``, over an older one, when the
-    ``with`` block ends. It is consistent after every `append`, so nothing computed is lost:
-    where an exception ends the block after some steps, the file is renamed all the same, and a
-    rollout stopped at step 900 is a valid file of 900 steps. Without a step the temporary file
-    is removed and ``<path>`` stays as it was. A process killed outright leaves ``<path>.tmp``
-    with the steps appended so far.
+    The file is written as ``<path>.tmp`` and renamed to ``<path>``, over an older one, when the
+    ``with`` block ends. It is valid after every `append`, and renamed even where an exception
+    ends the block: a rollout stopped at step 900 is a file of 900 steps. Without a step the
+    temporary file is removed and ``<path>`` stays as it was. A killed process leaves
+    ``<path>.tmp`` with the steps appended so far.
 
     Example::
 
@@ -51,7 +50,7 @@ class TrajectoryFile:
             file.append(0.02, position, {"velocity": velocity}, {"kinetic_energy": 8.1})
 
     Args:
-        path: of the file, ending in ``.vtkhdf``, by which ParaView knows it.
+        path: Path of the file; it must end in ``.vtkhdf``, which ParaView requires.
         particles: N, the same in every step.
     """
 
@@ -73,7 +72,7 @@ class TrajectoryFile:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = h5py.File(self._temporary, "w")
         except OSError as error:
-            raise UserError(f"{self.path}: cannot be written here: {error}.") from error
+            raise UserError(f"{self.path}: cannot be written: {error}.") from error
         _write_static(self._file.create_group("VTKHDF"), self.particles)
         return self
 
@@ -82,7 +81,7 @@ class TrajectoryFile:
             return
         file, self._file = self._file, None
         for name, (shape, _) in self._first.items():
-            # An append that was cut short may have left rows after the last whole step.
+            # An interrupted append may have left rows after the last complete step.
             file["VTKHDF"][name].resize(self._steps * shape[0], axis=0)
         file.close()
         if self._steps:
@@ -97,20 +96,20 @@ class TrajectoryFile:
         point_data: Mapping[str, Array] | None = None,
         field_data: Mapping[str, float] | None = None,
     ) -> None:
-        """Adds one step; nothing of it is written if an argument is wrong.
+        """Append one step; nothing is written if an argument is wrong.
 
         Args:
-            time: s, later than the last step's.
+            time: s, later than that of the last step.
             position: (N, 3), m, stored as float32.
-            point_data: name -> (N,) or (N, 3) real numbers, of the type they have in the first
-                step. The first step fixes the names.
-            field_data: name -> one number for the step. The first step fixes the names.
+            point_data: Name -> (N,) or (N, 3) real numbers. Names, shapes and types must be
+                those of the first step.
+            field_data: Name -> one number for the step. Names must be those of the first step.
 
         Raises:
-            ValueError: other names, shapes or types than the first step's, or a time not later.
+            ValueError: names, shapes or types differ from the first step, or time is not later.
         """
         if self._file is None:
-            raise RuntimeError("append belongs in the `with` block of a TrajectoryFile")
+            raise RuntimeError("append must be called in the `with` block of the TrajectoryFile")
         if not (np.isfinite(time) and time > self._last_time):
             raise ValueError(f"time must be later than {self._last_time} s, not {time} s")
         step = self._rows(time, position, point_data or {}, field_data or {})
@@ -134,14 +133,14 @@ class TrajectoryFile:
     def _rows(
         self, time: float, position: Array, points: Mapping[str, Array], field: Mapping[str, float]
     ) -> dict[str, Array]:
-        """What a step adds: name of the data set under /VTKHDF -> its rows, one or N."""
+        """Return the rows of a step, one or N, by name of the data set under /VTKHDF."""
         first = self._steps * self.particles
         rows: dict[str, Array] = {
             "Points": np.asarray(position, dtype=np.float32),
             "Steps/Values": np.array([time], dtype=np.float64),
             "Steps/PointOffsets": np.array([first], dtype=np.int64),
             "Steps/NumberOfParts": np.array([1], dtype=np.int64),
-            # 0 in every step: all of them share the one set of vertices.
+            # 0 in every step: all steps share one set of vertices.
             "Steps/PartOffsets": np.array([0], dtype=np.int64),
             "Steps/CellOffsets": np.zeros((1, len(_TOPOLOGIES)), dtype=np.int64),
             "Steps/ConnectivityIdOffsets": np.zeros((1, len(_TOPOLOGIES)), dtype=np.int64),
@@ -158,7 +157,7 @@ class TrajectoryFile:
     def _check(self, step: dict[str, Array]) -> None:
         odd = sorted(set(step) ^ set(self._first)) if self._steps else []
         if names := ", ".join(name for name in odd if not name.startswith("Steps")):
-            raise ValueError(f"every step has the first one's names; missing or new: {names}")
+            raise ValueError(f"a step must have the names of the first; missing or new: {names}")
         n = self.particles
         allowed: dict[str, set[tuple[int, ...]]]
         allowed = {"Points": {(n, 3)}, "PointData": {(n,), (n, 3)}, "FieldData": {(1,)}}
@@ -167,10 +166,10 @@ class TrajectoryFile:
             if kind == "Steps":
                 continue
             if "/" in label or (kind != "Points" and label in ("", ".")) or label == "time":
-                raise ValueError(f"data cannot be named {label!r}: empty, taken, or with a '/'")
-            # VTK has no numbers of half precision, and its flags are integers.
+                raise ValueError(f"data cannot be named {label!r}: empty, reserved, or with a '/'")
+            # VTK has no half precision and no booleans.
             if rows.dtype.kind not in "fiu" or rows.dtype == np.float16:
-                raise ValueError(f"{name} holds {rows.dtype}, which VTK has not")
+                raise ValueError(f"{name} holds {rows.dtype}, which VTK does not support")
             shape, dtype = self._first.get(name, (rows.shape, rows.dtype))
             if rows.shape not in allowed[kind] or rows.shape != shape:
                 wanted = {shape} if self._steps else allowed[kind]
@@ -180,13 +179,13 @@ class TrajectoryFile:
 
 
 def read_field_data(path: str | Path) -> dict[str, NDArray[np.float64]]:
-    """Reads the numbers of every step.
+    """Read the field data of every step.
 
     Returns:
-        name -> (T,); the key ``time`` holds the time of each step, s.
+        Name -> (T,); the key ``time`` holds the time of each step, s.
 
     Raises:
-        UserError: the file is not a whole trajectory file.
+        UserError: the file is not a complete trajectory file.
     """
     with _opened(path) as root:
         steps = int(root["Steps"].attrs["NSteps"])
@@ -195,17 +194,17 @@ def read_field_data(path: str | Path) -> dict[str, NDArray[np.float64]]:
 
 
 def read_frame(path: str | Path, step: int) -> tuple[NDArray[np.float32], dict[str, Array]]:
-    """Reads one step.
+    """Read one step.
 
     Args:
-        path: of the file.
-        step: 0 is the first; -1 is the last, as in a list.
+        path: Path of the file.
+        step: Index of the step; negative counts from the last, as in a list.
 
     Returns:
-        position (N, 3), m, and name -> (N,) or (N, 3).
+        Position (N, 3), m, and name -> (N,) or (N, 3).
 
     Raises:
-        UserError: the file is not a whole trajectory file, or has no such step.
+        UserError: the file is not a complete trajectory file, or has no such step.
     """
     with _opened(path) as root:
         steps = int(root["Steps"].attrs["NSteps"])
@@ -221,7 +220,7 @@ def read_frame(path: str | Path, step: int) -> tuple[NDArray[np.float32], dict[s
 
 @contextmanager
 def _opened(path: str | Path) -> Iterator[h5py.Group]:
-    """The group /VTKHDF of a file; what fails while reading it becomes a UserError."""
+    """Open the group /VTKHDF of a file; errors while reading become a UserError."""
     if not Path(path).is_file():
         raise UserError(f"{path}: there is no such file.")
     try:
@@ -230,12 +229,12 @@ def _opened(path: str | Path) -> Iterator[h5py.Group]:
                 raise UserError(f"{path}: not a trajectory file: it has no group /VTKHDF/Steps.")
             yield file["VTKHDF"]
     except (OSError, KeyError, IndexError, TypeError, ValueError) as error:
-        whole = "not a whole trajectory file (damaged, cut short, or of another kind)"
-        raise UserError(f"{path}: {whole}: {error}.") from error
+        problem = "not a whole trajectory file (damaged, truncated, or of another format)"
+        raise UserError(f"{path}: {problem}: {error}.") from error
 
 
 def _write_static(root: h5py.Group, particles: int) -> None:
-    """Writes what is the same in every step."""
+    """Write the data sets that are the same in every step."""
     root.attrs["Version"] = np.array([2, 3], dtype=np.int64)
     # VTK reads strings of fixed length only.
     root.attrs.create("Type", b"PolyData", dtype=h5py.string_dtype("ascii", len("PolyData")))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,8 @@ import torch
 import yaml
 from jsonargparse import ArgumentParser
 
-from fluidsnet.checkpoint_migration import migrate, renamed
+from fluidsnet.checkpoint_migration import migrate
+from fluidsnet.deprecated import with_current_names
 from fluidsnet.errors import UserError
 from fluidsnet.features.voxel import GridShape
 from fluidsnet.model import Model
@@ -79,7 +81,7 @@ def build(config: Path, grid_shape: GridShape) -> FluidsNet:
         raise UserError(
             f"{config} holds no `model:`; name a file such as configs/model/paper.yaml."
         ) from error
-    settings = renamed(dict(described.get("init_args") or {}))
+    settings = with_current_names(dict(described.get("init_args") or {}))
     for name in _TRAINING:
         settings.pop(name, None)
     parser = ArgumentParser(exit_on_error=False)
@@ -88,7 +90,10 @@ def build(config: Path, grid_shape: GridShape) -> FluidsNet:
         options = parser.parse_object(
             {"model": {**described, "init_args": {**settings, "grid_shape": list(grid_shape)}}}
         )
-        module: FluidsNet = parser.instantiate(options).model
+        with warnings.catch_warnings():
+            # Blocks are modules; hyperparameters keep their descriptions.
+            warnings.filterwarnings("ignore", ".*is already saved during checkpointing.*")
+            module: FluidsNet = parser.instantiate(options).model
     except (ValueError, TypeError) as error:
         raise UserError(f"{config} does not describe a FluidsNet: {error}") from error
     return module

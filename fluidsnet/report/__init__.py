@@ -1,1 +1,1 @@
-"""A page about training runs, made from what they logged."""
+"""Report on training runs: an HTML page and its tables."""

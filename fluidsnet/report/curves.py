@@ -1,4 +1,4 @@
-"""Curves as SVG that takes its colors from the page around it."""
+"""Charts of curves as SVG, in the colors of the page."""
 
 from __future__ import annotations
 
@@ -16,18 +16,14 @@ from matplotlib.ticker import LogFormatter
 
 from fluidsnet.report.events import Curve, finite
 
-#: Stand for the page's colors; the page gives `--curve-1` and so on, for light and dark.
+#: Placeholders for the page's colors, `--curve-1` and so on, which differ in light and dark.
 _INK = "#010203"
 _CURVES = tuple(f"#0102{number:02x}" for number in range(0x11, 0x17))
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "text.parse_math": False,  # a run's name may have a $
-    "text.color": _INK,
-    "axes.edgecolor": _INK,
-    "axes.labelcolor": _INK,
-    "xtick.color": _INK,
-    "ytick.color": _INK,
-    "grid.color": _INK,
+    **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "grid.color"), _INK),
+    **dict.fromkeys(("xtick.color", "ytick.color"), _INK),
     "legend.frameon": False,
     "font.size": 10.0,
 }
@@ -36,13 +32,13 @@ _MARKERS = "os^Dv*"
 
 @dataclass(frozen=True)
 class Line:
-    """A curve and how it is drawn.
+    """A curve and its style.
 
     Attributes:
-        label: in the legend.
-        curve: (step, value).
-        color: number of the color, the same for all curves of a run or model.
-        points: whether each value is marked and the line dashed, as of what is measured rarely.
+        label: Label in the legend.
+        curve: Points (step, value).
+        color: Number of the color, one for all curves of a run or model.
+        points: True for rare values: a dashed line with markers.
     """
 
     label: str
@@ -52,19 +48,18 @@ class Line:
 
 
 def draw(lines: Sequence[Line], label: str, name: str) -> str:
-    """Draw curves over the training steps.
+    """Draw curves against training steps.
 
-    Values that are not finite leave a gap. The axis is logarithmic where all values are above
-    zero and spread over more than a decade, and linear about zero and logarithmic beyond one
-    where they reach far below.
+    Non-finite values leave a gap. The vertical axis is logarithmic for positive values over more
+    than a decade, and symmetric logarithmic for values far below zero.
 
     Args:
-        lines: the curves.
-        label: of the vertical axis, with the unit.
-        name: of no other drawing on the page, for the names in the SVG.
+        lines: Curves.
+        label: Label of the vertical axis, with the unit.
+        name: Prefix of the ids in the SVG, unique on the page.
 
     Returns:
-        an ``<svg>`` element.
+        An ``<svg>`` element.
     """
     with matplotlib.rc_context({**_STYLE, "svg.hashsalt": name}):
         figure = Figure(figsize=(4.5, 2.9), layout="constrained")
@@ -77,8 +72,10 @@ def draw(lines: Sequence[Line], label: str, name: str) -> str:
                 color=_CURVES[line.color % len(_CURVES)],
                 linestyle="--" if line.points else "-",
                 linewidth=1.5,
-                # One value alone makes no line.
-                marker=_MARKERS[line.color % len(_MARKERS)] if _marked(line) else None,
+                # A single value makes no line.
+                marker=_MARKERS[line.color % len(_MARKERS)]
+                if len(line.curve) == 1 or (line.points and len(line.curve) <= 60)
+                else None,
                 markersize=4,
             )
         values = [value for line in lines for value in finite(line.curve)]
@@ -93,12 +90,12 @@ def draw(lines: Sequence[Line], label: str, name: str) -> str:
         axes.set_ylabel(label)
         axes.grid(alpha=0.2)
         axes.spines[["top", "right"]].set_visible(False)
-        # Named here, as a curve's own label is left out where it begins with "_".
+        # matplotlib leaves out labels of lines that start with "_".
         labels = [line.label for line in lines]
         if len(lines) == 2:
             axes.legend(handles, labels, fontsize=9)
         elif len(lines) > 2:
-            # They would cover the curves.
+            # Outside, as a long legend covers the curves.
             figure.set_figheight(2.9 + 0.2 * len(lines) / 2)
             figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=9)
         drawn = io.StringIO()
@@ -107,26 +104,20 @@ def draw(lines: Sequence[Line], label: str, name: str) -> str:
 
 
 class _Plain(LogFormatter):
-    """Numbers without exponents; those between decades where there are few decades."""
+    """Tick labels without exponents; between decades only where there are few."""
 
     def __call__(self, x: float, pos: int | None = None) -> str:
         return f"{x:g}" if super().__call__(x, pos) else ""
 
 
-def _marked(line: Line) -> bool:
-    return len(line.curve) == 1 or (line.points and len(line.curve) <= 60)
-
-
 def _for_page(text: str, name: str) -> str:
-    """The element alone, its names the drawing's own and its colors the page's."""
+    """Return the SVG element with unique ids and the colors of the page."""
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
     text = re.sub(r' xmlns(:xlink)?="[^"]*"', "", text)
-    text = re.sub(r'\bid="', f'id="{name}-', text)
-    text = re.sub(r'href="#', f'href="#{name}-', text)
-    text = re.sub(r"url\(#", f"url(#{name}-", text)
+    text = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", text)
     for number, color in enumerate(_CURVES, start=1):
         text = text.replace(color, f"var(--curve-{number})")
     text = text.replace(_INK, "currentColor")
-    # The page says how large it is.
+    # The page sets the size.
     return re.sub(r'(<svg[^>]*?) width="[^"]*" height="[^"]*"', r"\1", text, count=1)

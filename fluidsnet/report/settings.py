@@ -1,37 +1,41 @@
-"""What a run was configured with, and what of it is not as shipped."""
+"""Section on the configuration: differences between runs and from the shipped settings."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
+import pandas as pd
 import yaml
 from jsonargparse import ArgumentParser
 from lightning import Trainer
 
 import fluidsnet
 from fluidsnet.cli import SEED
-from fluidsnet.report.grid import NONE, Grid, union
-from fluidsnet.reporting.table import Cell
+from fluidsnet.report.document import Folded, Note, Section, Table
+from fluidsnet.report.run import CONFIG, Run
+from fluidsnet.report.tables import NONE, frame, union
 
-#: The files that say what is shipped, in the folder `configs` of the repository.
-SHIPPED = ("trainer.yaml", "model/paper.yaml")
-#: What a reader asks for first comes first.
+#: Files with the shipped settings, in the repository's folder `configs`.
+_SHIPPED = ("trainer.yaml", "model/paper.yaml")
+#: Order of the groups of settings.
 _ORDER = ("model", "data", "trainer")
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One value of a configuration.
+    """A value of a configuration.
 
     Attributes:
-        value: a class's name where it is a block, else as YAML has it.
-        default: what it is where nobody sets it.
-        listed: whether it is a block in a list, such as a callback.
+        value: Value as in YAML; the class name of a block.
+        default: Default value.
+        listed: True for a block in a list, such as a callback.
     """
 
     value: Any
@@ -39,11 +43,41 @@ class Setting:
     listed: bool = False
 
 
-def flat(config: Mapping[str, Any]) -> dict[str, Setting]:
-    """A configuration as one value a name, such as ``model.target``.
+def settings_section(runs: Sequence[Run]) -> Section:
+    """Show the settings that differ between runs, then from the shipped ones, then all."""
+    section = Section("Configuration")
+    known = {run.name: flat(run.config) for run in runs if run.config is not None}
+    if len(known) > 1:
+        table = differing(known)
+        if table is None:
+            section.parts.append(Note("The runs have the same configuration."))
+        else:
+            caption = "Settings in which the runs differ"
+            section.parts.append(Table("settings_that_differ", caption, table))
+    base = shipped() if known else {}
+    files = " and ".join(f"configs/{name}" for name in _SHIPPED)
+    source = files if base else "the defaults of the classes"
+    for run in runs:
+        if run.config is None:
+            text = f"{run.name} has no {CONFIG} that can be read: fluidsnet fit writes it."
+            section.parts.append(Note(text, missing=True))
+            continue
+        table = changed(known[run.name], base)
+        if table is None:
+            section.parts.append(Note(f"{run.name} is configured as shipped ({source})."))
+        else:
+            name = "settings" if len(runs) == 1 else f"settings_{run.name}"
+            caption = f"Settings of {run.name} that differ from {source}"
+            section.parts.append(Table(name, caption, table, folded=len(known) > 1))
+        section.parts.append(Folded(f"Full {CONFIG} of {run.name}", run.config_text))
+    return section
 
-    A block's arguments lie under its own name, as the command line takes them too. What the
-    configuration leaves out is added from the block's signature.
+
+def flat(config: Mapping[str, Any]) -> dict[str, Setting]:
+    """Flatten a configuration to settings with dotted names, such as ``model.target``.
+
+    The arguments of a block follow its name, as on the command line. Arguments that are not set
+    get the default of the block's signature.
     """
     trainer = config.get("trainer")
     values = {**config}
@@ -53,70 +87,74 @@ def flat(config: Mapping[str, Any]) -> dict[str, Setting]:
 
 
 def shipped() -> dict[str, Setting]:
-    """The settings that the repository ships; none where its configs are not installed."""
+    """Return the shipped settings; none where the configs are not installed."""
     folder = Path(fluidsnet.__file__).parents[1] / "configs"
     merged: dict[str, Any] = {"seed_everything": SEED}
-    for name in SHIPPED:
+    for name in _SHIPPED:
         if not (folder / name).is_file():
             return {}
-        merged = _merged(merged, yaml.safe_load((folder / name).read_text()))
+        for key, value in yaml.safe_load((folder / name).read_text()).items():
+            merged[key] = {**merged.get(key, {}), **value}
     return flat(merged)
 
 
-def changed(run: Mapping[str, Setting], base: Mapping[str, Setting]) -> Grid | None:
-    """What a run sets other than a base does, or, of what that does not know, than the default.
+def changed(run: Mapping[str, Setting], base: Mapping[str, Setting]) -> pd.DataFrame | None:
+    """Return a run's settings that differ from a base, or where it has none from the default.
 
     Returns:
-        name, the run's value and the other; None where nothing differs.
+        Name, the run's value and the other; None if nothing differs.
     """
     rows = []
     for name, setting in run.items():
         known = name in base or setting.default is not None
         expected = base[name].value if name in base else setting.default
         if setting.value != expected:
-            rows.append((name, _words(setting.value), _words(expected) if known else NONE))
+            rows.append((name, _text(setting.value), _text(expected) if known else NONE))
     for name, setting in base.items():
         if setting.listed and name not in run:
-            rows.append((name, NONE, _words(setting.value)))
-    return Grid(("setting", "run", "shipped"), tuple(sorted(rows, key=_rank))) if rows else None
+            rows.append((name, NONE, _text(setting.value)))
+    return _table(("setting", "run", "shipped"), rows)
 
 
-def differing(runs: Mapping[str, Mapping[str, Setting]]) -> Grid | None:
-    """The settings in which runs differ from each other.
+def differing(runs: Mapping[str, Mapping[str, Setting]]) -> pd.DataFrame | None:
+    """Return the settings in which runs differ from each other.
 
     Args:
-        runs: their settings by their names.
+        runs: Settings by the name of the run.
 
     Returns:
-        name, and each one's value; None where nothing differs.
+        Name and each run's value; None if nothing differs.
     """
-    rows = []
-    for name in union(runs.values()):
-        values = [
-            _words(settings[name].value) if name in settings else NONE for settings in runs.values()
-        ]
-        if any(value != values[0] for value in values):
-            rows.append((name, *values))
-    return Grid(("setting", *runs), tuple(sorted(rows, key=_rank))) if rows else None
+    rows = [
+        (name, *(_text(it[name].value) if name in it else NONE for it in runs.values()))
+        for name in union(runs.values())
+    ]
+    return _table(("setting", *runs), [row for row in rows if len({*row[1:]}) > 1])
 
 
-def _rank(row: Sequence[Cell]) -> int:
-    group = str(row[0]).partition(".")[0]
-    return _ORDER.index(group) if group in _ORDER else len(_ORDER)
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> pd.DataFrame | None:
+    def rank(row: Sequence[str]) -> int:
+        group = row[0].partition(".")[0]
+        return _ORDER.index(group) if group in _ORDER else len(_ORDER)
+
+    return frame(header, [*sorted(rows, key=rank)]) if rows else None
 
 
 def _flat(
     name: str, value: Any, default: Any, listed: bool = False
 ) -> Iterator[tuple[str, Setting]]:
     if _is_block(value):
-        yield name, Setting(_short(value["class_path"]), _words(default), listed)
-        known = _defaults_of(value["class_path"])
+        yield name, Setting(_short(value["class_path"]), _text(default), listed)
+        known = _block_defaults(value["class_path"])
         given = value.get("init_args")
         value, default = {**known, **(given if isinstance(given, Mapping) else {})}, known
     if isinstance(value, list) and value and all(map(_is_block, value)):
-        value, default = _named(value), {}
-        for key, block in value.items():
-            yield from _flat(f"{name}.{key}", block, NONE, listed=True)
+        counts = Counter[str]()
+        for block in value:
+            key = _short(block["class_path"])
+            counts[key] += 1
+            number = f"#{counts[key]}" if counts[key] > 1 else ""
+            yield from _flat(f"{name}.{key}{number}", block, NONE, listed=True)
     elif isinstance(value, Mapping):
         defaults = default if isinstance(default, Mapping) else {}
         for key, inner in value.items():
@@ -125,42 +163,19 @@ def _flat(
         yield name, Setting(_plain(value), _plain(default), listed)
 
 
-def _named(blocks: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Blocks of a list by their classes' names; of several of a class each has a number."""
-    found: dict[str, Any] = {}
-    for block in blocks:
-        short, number = _short(block["class_path"]), 1
-        key = short
-        while key in found:
-            number += 1
-            key = f"{short}#{number}"
-        found[key] = block
-    return found
-
-
-def _merged(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
-    """As the command line composes two files: the later changes what it names."""
-    merged = dict(one)
-    for key, value in other.items():
-        below = merged.get(key)
-        both = isinstance(below, Mapping) and isinstance(value, Mapping)
-        merged[key] = _merged(below, value) if both else value  # type: ignore[arg-type]
-    return merged
-
-
 @lru_cache
-def _defaults_of(path: str) -> dict[str, Any]:
-    """Default arguments of a class; none of one that is not there any more."""
+def _block_defaults(path: str) -> dict[str, Any]:
+    """Return the default arguments of a class; none if it cannot be imported."""
     module, _, name = path.rpartition(".")
     try:
         return _defaults(getattr(import_module(module), name))
-    except Exception:  # somebody's module may fail as it likes; then all it was told is shown
+    except Exception:  # an import may raise anything; then all given arguments are shown
         return {}
 
 
 @lru_cache
 def _defaults(kind: type) -> dict[str, Any]:
-    # Its parser follows the arguments that a class hands on to others.
+    # jsonargparse also finds the arguments that a class hands on to its parents.
     parser = ArgumentParser()
     parser.add_class_arguments(kind, fail_untyped=False)
     found: dict[str, Any] = parser.get_defaults().as_dict()
@@ -178,12 +193,11 @@ def _short(path: str) -> str:
 def _plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_plain(inner) for inner in value]
-    known = value is None or isinstance(value, (bool, int, float, str))
-    return value if known else str(value)
+    return value if isinstance(value, (int, float, str, NoneType)) else str(value)
 
 
-def _words(value: Any) -> str:
-    """As YAML has it, in one line."""
+def _text(value: Any) -> str:
+    """Format a value as YAML in one line."""
     if isinstance(value, str):
         return value or "''"
     if isinstance(value, Mapping) and _is_block(value):

@@ -1,4 +1,4 @@
-"""Tables for people and for spreadsheets: Markdown and CSV side by side."""
+"""Tables as Markdown and CSV files."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ Cell = str | float | int
 
 
 def write_table(path: Path, header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
-    """Writes ``<path>.csv`` and ``<path>.md``.
+    """Write ``<path>.csv`` and ``<path>.md``.
 
     Args:
-        path: without an ending; its folder is made.
-        header: a name a column, with its unit.
-        rows: as many cells each.
+        path: Path without a suffix; its folder is made.
+        header: Column names with units.
+        rows: A cell for each column.
 
     Returns:
-        the Markdown.
+        The Markdown table.
     """
     write_csv(path.with_suffix(".csv"), header, rows)
     text = markdown(header, rows)
@@ -27,12 +27,12 @@ def write_table(path: Path, header: Sequence[str], rows: Sequence[Sequence[Cell]
 
 
 def write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> None:
-    """Writes the rows with all their digits.
+    """Write a CSV file, numbers with all digits.
 
     Args:
-        path: of the file; its folder is made.
-        header: a name a column, with its unit.
-        rows: as many cells each.
+        path: Path of the file; its folder is made.
+        header: Column names with units.
+        rows: A cell for each column.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("w", newline="", encoding="utf-8") as file:
@@ -42,11 +42,11 @@ def write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[Cell]])
 
 
 def markdown(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
-    """A Markdown table, its columns aligned.
+    """Return a Markdown table with aligned columns.
 
     Args:
-        header: a name a column, with its unit.
-        rows: as many cells each; numbers are cut to four digits.
+        header: Column names with units.
+        rows: A cell for each column; numbers are rounded to four digits.
     """
     cells = [[_text(cell) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(header, *cells, strict=True)]

@@ -1,4 +1,4 @@
-"""Small data files, written by hand."""
+"""Fixture that writes small data files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ HEADER: dict[str, Any] = {
 
 @pytest.fixture
 def write_file(tmp_path: Path) -> Write:
-    """Writes a valid file: simulations of so many (frames, fluid, solid) particles, at random."""
+    """Write a valid file of random simulations, given their (frames, fluid, solid) sizes."""
 
     def write(name: str, *sizes: tuple[int, int, int], seed: int = 0, **header: Any) -> Path:
         random = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""The symmetries of a box under gravity."""
+"""Tests of the augmentation by symmetries of a box."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DRAWS = 100  # one of eight symmetries stays away that often once in a million
 
 @pytest.fixture
 def transitions(make_particles: Make, scene: Scene) -> Transitions:
-    """A state in a box whose lower corner is not the origin, and two next ones."""
+    """Return a state and two next ones, in a box whose lower corner is not the origin."""
     state = make_particles((60, 15))
     shift = torch.tensor([-0.3, 0.2, 1.0], device=state.position.device)
     moved_scene = replace(
@@ -46,7 +46,7 @@ def transitions(make_particles: Make, scene: Scene) -> Transitions:
 
 
 def in_box(transitions: Transitions, upper: tuple[float, float, float]) -> Transitions:
-    """The same in a box of other edges."""
+    """Return the sample in a box of other edges."""
     scene = transitions.state.scene
     edges = torch.tensor(upper, device=scene.domain_lower.device)
     scale = edges / scene.extent

@@ -1,4 +1,4 @@
-"""Data made by the real solver, in tiny scenes."""
+"""Tests of the data generator, with the real solver in tiny scenes."""
 
 from __future__ import annotations
 
@@ -19,10 +19,9 @@ import pytest
 from numpy.typing import NDArray
 
 from datamodules.generate.dataset import generate
-from datamodules.generate.job import Job, SolverName
+from datamodules.generate.job import Job, SolverName, scene_file
 from datamodules.generate.recipe import Recipe
 from datamodules.generate.recorder import EscapedError, Recorder
-from datamodules.generate.scene_file import scene_file
 from datamodules.generate.scenes import CLEARANCE, Block, Body, DamBreak, Drop, DropPool, SceneKind
 from datamodules.schema import Header, validate
 from fluidsnet.errors import UserError
@@ -62,7 +61,7 @@ f 1 4 6
 
 @dataclass(frozen=True)
 class Simulation:
-    """One group of a file, in memory."""
+    """Group of a file, in memory."""
 
     header: Header
     position: NDArray[np.float32]
@@ -90,7 +89,7 @@ def read(path: Path) -> list[Simulation]:
 
 
 def by_place(position: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points in an order of their own."""
+    """Return the points sorted by coordinates."""
     rounded = np.round(position.astype(np.float64), 5)
     return rounded[np.lexsort(rounded.T)]
 
@@ -258,7 +257,7 @@ def test_a_mesh_may_be_the_drop(tmp_path: Path) -> None:
 
 
 class Spoiled(DamBreak):
-    """A dam break of which some have an octahedron with a hole in it."""
+    """Dam break in which some simulations have an octahedron with a hole in it."""
 
     def __init__(self, mesh: Path, always: bool = False) -> None:
         super().__init__(DOMAIN)
@@ -281,7 +280,7 @@ def test_a_failure_is_named_with_its_seed_and_the_others_go_on(
     recipe = replace(RECIPE, scene=Spoiled(mesh), frames=3, seed=5, train=3)
     failures = generate(recipe, tmp_path / "data", processes=2)
     assert [(failure.name, failure.seed) for failure in failures] == [("train-00001", [5, 0, 1])]
-    assert "open.obj" in failures[0].words and "open" in failures[0].words
+    assert "open.obj" in failures[0].reason and "open" in failures[0].reason
     said = capsys.readouterr().err
     assert "train-00001" in said and "[5, 0, 1]" in said and "left out" in said
     with h5py.File(tmp_path / "data" / "train.h5") as file:
@@ -427,7 +426,7 @@ class FakeSolver:
 
 @pytest.fixture
 def recorder(tmp_path: Path) -> Any:
-    """A recorder of frames of four steps of 2.5 ms, its solver and its reports."""
+    """Return a recorder of frames of four steps of 2.5 ms, and its solver."""
     solver = FakeSolver()
     read_end, write_end = os.pipe()
     with h5py.File(tmp_path / "part.h5", "w") as file:

@@ -1,4 +1,4 @@
-"""What is said of a data file, and of one that is spoiled."""
+"""Tests of `fluidsnet inspect` on valid and on damaged files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def copy(sample: Path, tmp_path: Path) -> Path:
 
 
 def row(text: str, name: str) -> list[str]:
-    """The columns of a simulation in a report."""
+    """Return the columns of a simulation in a summary."""
     (line,) = [line for line in text.splitlines() if line.split()[:1] == [name]]
     return line.split()
 
@@ -94,7 +94,7 @@ def still(file: h5py.File) -> None:
 
 
 SPOILED: dict[str, tuple[Spoil, str]] = {
-    "not finite": (not_finite, "frame 7 is the first of 2 not finite"),
+    "not finite": (not_finite, "2 frames are not finite, the first is 7"),
     "shuffled rows": (shuffled, "rows may not keep their particle"),
     "escaped": (escaped, "up to 1 particles are outside the domain"),
     "another dt": (other_dt, "the frames are not dt apart"),

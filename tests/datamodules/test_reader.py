@@ -1,4 +1,4 @@
-"""Frames are read lazily, through a handle of one's own."""
+"""Tests of the lazy reader and its file handles."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Write = Callable[..., Path]
 
 
 def opened(path: Path) -> int:
-    """How many of this process's descriptors lead to a file."""
+    """Return how many descriptors of this process point to a file."""
     folder = Path("/proc/self/fd")
     if not folder.exists():
         pytest.skip("the open files of a process are seen under /proc only")

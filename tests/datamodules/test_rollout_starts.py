@@ -1,4 +1,4 @@
-"""Rollouts start at any frame, and their truth with them."""
+"""Tests of rollout starts and their true states."""
 
 from __future__ import annotations
 
@@ -49,6 +49,7 @@ def test_the_truth_is_the_files_from_the_start_on(root: Path) -> None:
         for index, (name, steps) in enumerate((("00000", 3), ("00001", 1))):
             start = starts[index]
             assert (start.name, start.steps, len(start.truth)) == (name, steps, steps + 1)
+            assert (start.first, start.known_steps) == (3, steps)
             assert np.array_equal(start.state.position, file[name]["position"][3])
             assert np.array_equal(start.state.solid_position, file[name]["solid_position"])
             assert start.state.scene.time_step == pytest.approx(0.04)
@@ -60,5 +61,30 @@ def test_the_truth_is_the_files_from_the_start_on(root: Path) -> None:
 
 @pytest.mark.parametrize("frame", [5, 9, -1, 0.95])
 def test_a_start_without_a_step_after_it_is_refused(root: Path, frame: float) -> None:
-    with pytest.raises(UserError, match=rf"/0000\d can start at {frame} .*has \d+ frames"):
+    with pytest.raises(UserError, match=rf"/0000\d can start at {frame} .*has \d+ frame"):
         data(root).rollout_starts("test", (frame,))
+    with pytest.raises(UserError, match=rf"/0000\d can start at {frame} "):
+        data(root).rollout_starts("test", (frame,), beyond_truth=True)
+
+
+@pytest.mark.parametrize(
+    ("frames", "steps", "expected"),
+    [
+        # Simulation, first frame, steps, steps with a true state.
+        ((0,), None, [("00000", 0, 10, 10), ("00001", 0, 5, 5)]),
+        ((0,), 7, [("00000", 0, 7, 7), ("00001", 0, 7, 5)]),
+        ((5,), 3, [("00000", 5, 3, 3), ("00001", 5, 3, 0)]),
+    ],
+)
+def test_beyond_the_truth_a_rollout_keeps_its_steps(
+    root: Path, frames: Any, steps: Any, expected: Any
+) -> None:
+    starts = data(root).rollout_starts("test", frames, steps, beyond_truth=True)
+    found = [(start.name, start.first, start.steps, start.known_steps) for start in starts]
+    assert found == expected
+
+
+@pytest.mark.parametrize("frame", [-1, 6])
+def test_beyond_the_truth_a_start_still_needs_its_frame(root: Path, frame: int) -> None:
+    with pytest.raises(UserError, match=rf"/0000\d can start at {frame} .*has \d+ frame"):
+        data(root).rollout_starts("test", (frame,), 3, beyond_truth=True)

@@ -1,4 +1,4 @@
-"""Random scenes: inside the walls, apart, of whole particles, of the paper's sizes."""
+"""Tests of the random scenes."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def sampled(kind: SceneKind, radius: float) -> list[list[Body]]:
 
 
 def particles(body: Body, radius: float) -> float:
-    """About how many there are in a body."""
+    """Estimate the number of particles in a body."""
     if isinstance(body, Block):
         return float(np.prod(np.subtract(body.upper, body.lower)) / (2 * radius) ** 3)
     return float(4 / 3 * np.pi * body.radius**3 / (2 * radius) ** 3)

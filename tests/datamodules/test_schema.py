@@ -1,4 +1,4 @@
-"""What makes a data file valid, and what is said of one that is not."""
+"""Tests of the file format and its error messages."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Spoil = Callable[[h5py.File], None]
 
 
 def sentence(path: Path) -> str:
-    """What is said of a file that is not valid: one sentence that names it."""
+    """Return the error message of an invalid file: one sentence that names the file."""
     with pytest.raises(UserError) as caught:
         validate(path)
     words = str(caught.value)
@@ -91,7 +91,10 @@ def group_for(name: str) -> Spoil:
 
 #: What is spoiled, and words that must be in the sentence. A valid file has 4 frames of 6.
 SPOILED: dict[str, tuple[Spoil, list[str]]] = {
-    "another version": (set_attribute("schema_version", 2), ["schema_version is 2", "reads 1"]),
+    "another version": (
+        set_attribute("schema_version", 2),
+        ["schema_version is 2", "reads 1"],
+    ),
     "a version in words": (set_attribute("schema_version", "two"), ["schema_version is two"]),
     "no dt": (drop_attribute("dt"), ["attribute dt is missing"]),
     "no solver": (drop_attribute("solver"), ["attribute solver is missing"]),

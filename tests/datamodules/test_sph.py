@@ -1,7 +1,9 @@
-"""The data module: which samples, which frames, which statistics."""
+"""Tests of the data module: samples, frames, statistics, identity."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import shutil
 from collections import Counter
 from collections.abc import Callable
@@ -17,8 +19,7 @@ from torch import Tensor
 from datamodules import SPHDataModule
 from datamodules.augmentation import BoxSymmetry
 from datamodules.reader import FrameReader
-from datamodules.scale import STATISTICS_SAMPLES
-from datamodules.transitions import Sample, TransitionDataset
+from datamodules.transitions import STATISTICS_SAMPLES, Sample, TransitionDataset
 from fluidsnet.errors import UserError
 from fluidsnet.particles import Transitions
 
@@ -30,7 +31,7 @@ FIELDS += ("drift_deviation",)
 
 @pytest.fixture
 def small(write_file: Write) -> Path:
-    """Three files; simulations of different lengths and numbers of particles."""
+    """Write three files with simulations of different lengths and numbers of particles."""
     write_file("val.h5", (9, 4, 2), seed=1)
     write_file("test.h5", (11, 3, 2), (6, 5, 4), seed=2)
     return write_file("train.h5", (12, 5, 3), (10, 7, 4), seed=0).parent
@@ -245,13 +246,54 @@ def test_cells_cover_the_domain(
     write_file: Write, upper: tuple[float, ...], voxel_size: float, cells: tuple[int, ...]
 ) -> None:
     root = write_file("train.h5", (2, 2, 2), domain_upper=upper).parent
-    assert SPHDataModule(root, voxel_size=voxel_size).cells == cells
+    assert SPHDataModule(root, voxel_size=voxel_size).grid_shape == cells
 
 
 def test_the_scene_is_known_before_setup(sample: Path) -> None:
     data = SPHDataModule(sample, voxel_size=1 / 12, stride=2)
     assert data.time_step == pytest.approx(0.04)
     assert data.grid_shape == (18, 12, 18)
+
+
+def test_the_identity_of_a_split_is_plain_json_and_follows_the_file(
+    small: Path, write_file: Write
+) -> None:
+    data = SPHDataModule(small, voxel_size=0.25, stride=2, frame_range=(1, None), sample_every=3)
+    identity = data.identity("test")
+    content = (small / "test.h5").read_bytes()
+    assert json.loads(json.dumps(identity)) == identity
+    assert identity == {
+        "root": str(small),
+        "file": "test.h5",
+        "sha256": hashlib.sha256(content).hexdigest(),
+        "stride": 2,
+        "time_step": pytest.approx(0.04),
+        "frame_range": [1, None],
+        "sample_every": 3,
+        "simulations": 2,
+        "frames": 17,
+    }
+    assert data.identity("val")["file"] == "val.h5"
+    write_file("test.h5", (11, 3, 2), (6, 5, 4), seed=3)
+    assert data.identity("test") == identity, "the hash is computed once"
+    other = SPHDataModule(small, voxel_size=0.25).identity("test")
+    assert other["sha256"] != identity["sha256"]
+    (small / "test.h5").unlink()
+    with pytest.raises(UserError, match=r"test\.h5: there is no such file"):
+        SPHDataModule(small, voxel_size=0.25).identity("test")
+
+
+def test_the_identity_of_a_split_by_frame_names_all_files(small: Path) -> None:
+    data = SPHDataModule(small, voxel_size=0.25, split_by="frame", seed=4)
+    assert data.identity("test")["file"] == "train.h5, val.h5, test.h5"
+    assert data.identity("test")["frames"] == 12 + 10 + 9 + 11 + 6
+    assert (data.identity("test")["split_by"], data.identity("test")["seed"]) == ("frame", 4)
+    (small / "test.h5").unlink()
+    without = SPHDataModule(small, voxel_size=0.25, split_by="frame", seed=4).identity("test")
+    assert without["file"] == "train.h5, val.h5"
+    contents = [(small / name).read_bytes() for name in ("train.h5", "val.h5")]
+    hashes = [hashlib.sha256(content).hexdigest() for content in contents]
+    assert without["sha256"] == ", ".join(hashes)
 
 
 @pytest.mark.parametrize(
@@ -374,6 +416,16 @@ def test_rollout_steps_may_go_beyond_the_truth(small: Path) -> None:
     data = module(small, stage="predict", rollout_steps=40)
     for start in data.predict_dataloader():
         assert start.steps == 40 > len(start.truth)
+        assert start.known_steps == len(start.truth) - 1
+
+
+def test_a_file_of_one_frame_can_be_rolled_out(write_file: Write) -> None:
+    root = write_file("test.h5", (1, 3, 2)).parent
+    (start,) = module(root, stage="predict", rollout_steps=5).predict_dataloader()
+    assert (start.steps, start.first, start.known_steps, len(start.truth)) == (5, 0, 0, 1)
+    assert torch.equal(start.truth[0][0], start.state.position)
+    with pytest.raises(UserError, match=r"has 1 frame\(s\).*; set data\.rollout_steps to .*\.$"):
+        module(root, stage="predict").predict_dataloader()
 
 
 def test_each_stage_needs_its_own_file_only(small: Path) -> None:

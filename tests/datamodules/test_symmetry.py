@@ -1,4 +1,4 @@
-"""No simulation that is held out is the mirror image of one that is trained on."""
+"""Tests that no test or validation simulation mirrors one of the training."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of truth and prediction."""
+"""Tests of the pictures of particles."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LOWER, UPPER, RADIUS = (0.0, 0.0, 0.0), (1.5, 1.0, 1.5), 0.025
 
 
 def block(count: int = 12) -> NDArray[np.float32]:
-    """Particles in the middle of the box, two radii apart."""
+    """Return particles in the middle of the box, two radii apart."""
     steps = (np.arange(count) - count / 2) * 2 * RADIUS
     cube = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
     return np.asarray(cube + np.array([0.75, 0.5, 0.75]), dtype=np.float32)
@@ -28,14 +28,14 @@ def panel(speed: float, position: NDArray[Any] | None = None, title: str = "") -
 
 
 def halves(path: Path) -> tuple[NDArray[Any], NDArray[Any]]:
-    """The left and the right panel of a picture with one row, without the color bar."""
+    """Return the left and the right panel of a picture with one row, without the color bar."""
     picture = matplotlib.image.imread(path)[..., :3]
     width = (picture.shape[1] - 110) // 2
     return picture[45:, :width], picture[45:, width : 2 * width]
 
 
 def fluid(picture: NDArray[Any]) -> NDArray[Any]:
-    """The colors (n, 3) of the pixels with a particle: more blue than any line or background."""
+    """Return the colors (n, 3) of the pixels with a particle, which are the bluest ones."""
     return picture[picture[..., 2] > 0.45]
 
 
@@ -138,7 +138,7 @@ def test_boxes_of_every_shape(tmp_path: Path, upper: tuple[float, float, float])
     ("rows", "columns", "widest"), [(2, 1, 790), (1, 3, 2100), (3, 4, 2400), (6, 5, 2400)]
 )
 def test_any_number_of_columns(tmp_path: Path, rows: int, columns: int, widest: int) -> None:
-    """Each panel has its place: row after row, the speeds rise from left to right."""
+    """Test that panels are placed row after row, by speeds that rise from left to right."""
     path = tmp_path / "picture.png"
     rng = np.random.default_rng(0)
     panels = [

@@ -1,4 +1,4 @@
-"""Trajectory files, read back with VTK's own reader and with h5py."""
+"""Tests of trajectory files, read back with the reader of VTK and with h5py."""
 
 from __future__ import annotations
 

@@ -1,0 +1,100 @@
+"""Trained models come back from the folder of a run, also of an earlier version."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from lightning import Trainer
+from test_module import data, trainer
+
+import fluidsnet
+from callbacks import Ablation
+from datamodules import read_state
+from fluidsnet import FluidsNet
+from fluidsnet.checkpoint_migration import migrate
+from fluidsnet.errors import UserError
+from fluidsnet.features import NoGlobalFeature
+from fluidsnet.particles import Particles
+from fluidsnet.rollout import rollout
+from fluidsnet.target import AccelerationTarget
+
+#: Trained by the version before models were kept side by side; `step.npz` is its prediction.
+OLD = Path(__file__).parent / "data" / "old_run"
+
+
+def state(sample: Path, device: torch.device) -> Particles:
+    return read_state(sample / "test.h5", 0.02, frame=5).to(device)
+
+
+@torch.no_grad()
+def test_an_old_run_predicts_what_it_did(sample: Path, device: torch.device) -> None:
+    model = fluidsnet.load(OLD, device)
+    after = model.step(state(sample, device))
+    assert not after.position.requires_grad
+    expected = np.load(OLD / "step.npz")
+    np.testing.assert_allclose(after.position.cpu(), expected["position"], atol=1e-5)
+    np.testing.assert_allclose(after.velocity.cpu(), expected["velocity"], atol=1e-4)
+    states = list(rollout(model, state(sample, device), 3))
+    assert torch.equal(states[0].position, after.position)
+    assert torch.equal(states[1].position, model.step(after).position)
+
+
+def with_twins(grid_shape: tuple[int, int, int]) -> tuple[FluidsNet, list[Ablation]]:
+    return FluidsNet(grid_shape), [
+        Ablation("target", AccelerationTarget(), "acceleration"),
+        Ablation("global_feature", NoGlobalFeature, "no_global_feature"),
+    ]
+
+
+def test_an_old_training_with_twins_is_resumed(sample: Path, tmp_path: Path) -> None:
+    source = data(sample, voxel_size=0.125)
+    module, ablations = with_twins(source.grid_shape)
+    path = OLD / "checkpoints" / "best.ckpt"
+    before = torch.load(path, weights_only=True)
+    runner = trainer(tmp_path, max_epochs=2, limit_train_batches=4, limit_val_batches=1,
+                     callbacks=[*ablations])  # fmt: skip
+    runner.fit(module, source, ckpt_path=path, weights_only=True)
+    assert runner.global_step == 2 * before["global_step"]
+    for name in ("model", "acceleration", "no_global_feature"):
+        prefix = "" if name == "model" else f"twins.{name}."
+        bias = before["state_dict"][f"{prefix}network.head.0.bias"]
+        now = module.named_models()[name].state_dict()["network.head.0.bias"].cpu()
+        assert 0 < float((now - bias).abs().max()) < 0.1
+
+
+def test_migration_leaves_a_checkpoint_of_this_version_alone(sample: Path, tmp_path: Path) -> None:
+    source = data(sample)
+    runner: Trainer = trainer(tmp_path, max_steps=1, limit_val_batches=1)
+    runner.fit(FluidsNet(source.grid_shape), source)
+    runner.save_checkpoint(tmp_path / "new.ckpt")
+    checkpoint = torch.load(tmp_path / "new.ckpt", weights_only=True)
+    names = list(checkpoint["state_dict"])
+    migrate(checkpoint)
+    assert list(checkpoint["state_dict"]) == names
+
+
+def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"not the folder of a run: .*last.ckpt is missing"):
+        fluidsnet.load(tmp_path)
+    shutil.copytree(OLD / "checkpoints", tmp_path / "checkpoints")
+    with pytest.raises(UserError, match=r"config.yaml holds no `model:`"):
+        fluidsnet.load(tmp_path)
+    (tmp_path / "config.yaml").write_text(
+        "model: {class_path: fluidsnet.FluidsNet, init_args: {target: AccelerationTarget}}"
+    )
+    with pytest.raises(UserError, match="made with the target VelocityTarget"):
+        fluidsnet.load(tmp_path)
+
+
+def test_a_state_that_a_model_cannot_step_is_refused(sample: Path) -> None:
+    assert read_state(sample / "test.h5", 0.04).scene.time_step == pytest.approx(0.04)
+    with pytest.raises(UserError, match=r"0.03 s is no multiple of the frame interval, 0.02 s"):
+        read_state(sample / "test.h5", 0.03)
+    with pytest.raises(UserError, match="no frame 0 of /7"):
+        read_state(sample / "test.h5", 0.02, simulation="7")
+    with pytest.raises(UserError, match="no frame 1000 of"):
+        read_state(sample / "test.h5", 0.02, frame=1000)
