@@ -1,11 +1,13 @@
-# FluidsNet's tasks. `make` lists them.
+# Development tasks; `make` lists them.
 
 PYTHON ?= python3
-# What pip installs as torch, if Python has none yet; tools/install.py knows the default.
+# Requirement for torch if none is installed; tools/install.py has the default.
 TORCH ?=
 export TORCH
 
 PACKAGES := fluidsnet datamodules callbacks tools
+# mypy and ruff fail if they cannot write a cache, as in a read-only checkout.
+MYPY_CACHE := $(if $(shell test -w . && echo yes),.mypy_cache,/dev/null)
 IN_VENV := .venv/bin/python
 
 .DEFAULT_GOAL := help
@@ -17,22 +19,21 @@ help: ## list these tasks
 	@echo 'make setup PYTHON=python3.12                  makes .venv with another Python'
 	@echo 'make setup TORCH="torch==2.9.1 --index-url …" installs that torch in .venv'
 
-setup: ## install FluidsNet and what it needs into .venv; once, 8 to 16 minutes on two cores
+setup: ## install FluidsNet and its dependencies into .venv; 8 to 16 minutes on two cores
 	@$(PYTHON) -m tools.install
 
-demo: setup ## simulate, train, test and roll out a small dam break; some five minutes
+demo: setup ## simulate, train, test and roll out a small dam break; about five minutes
 	$(IN_VENV) -m tools.demo
 
 lint: setup ## check style and types
-	$(IN_VENV) -m ruff check $(PACKAGES) tests
-	$(IN_VENV) -m ruff format --check $(PACKAGES) tests
-	$(IN_VENV) -m mypy $(PACKAGES)
+	$(IN_VENV) -m ruff check --no-cache $(PACKAGES) tests
+	$(IN_VENV) -m ruff format --no-cache --check $(PACKAGES) tests
+	$(IN_VENV) -m mypy --cache-dir=$(MYPY_CACHE) $(PACKAGES)
 
 test: setup lint ## check style and types, then run every test
-	@# As the program does: OpenMP threads side by side must not spin while they wait. A file's tests
-	@# share what they make, so one worker runs them all.
+	@# GOMP_SPINCOUNT as in fluidsnet/main.py. Tests of a file share fixtures: one worker runs a file.
 	GOMP_SPINCOUNT=1000 $(IN_VENV) -m pytest -n 2 --dist loadfile
 
-clean: ## remove .venv and caches; the compiled wheels in the user's cache stay
+clean: ## remove .venv and caches; keeps the compiled wheels in the user's cache
 	rm -rf .venv build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache
 	find $(PACKAGES) tests -name __pycache__ -type d -prune -exec rm -rf {} +

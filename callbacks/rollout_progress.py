@@ -1,37 +1,42 @@
-"""A progress bar over the steps of a rollout."""
+"""Progress bar over the steps of a rollout."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from lightning import Callback, LightningModule, Trainer
-from tqdm import tqdm
 
 from fluidsnet.particles import Particles, RolloutStart
+from fluidsnet.progress import Progress
 from fluidsnet.rollout import RolloutObserver
 
 
 class RolloutProgress(Callback, RolloutObserver):
-    """Shows the steps of each rollout; Lightning's own bar counts only simulations.
+    """Show the steps of each rollout; Lightning's bar counts simulations.
 
-    Of several processes, the first alone shows its own.
+    Only the process of rank 0 has a bar.
     """
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        """Learns whether this process shows anything."""
-        self._silent = not trainer.is_global_zero
+        """Hide the bar in other processes than that of rank 0."""
+        self._disable = not trainer.is_global_zero
 
     def on_rollout_start(self, start: RolloutStart) -> None:
-        """Opens the bar."""
-        self._bar = tqdm(
+        """Open the bar."""
+        self._bar = Progress(
             total=start.steps,
-            desc=f"rolling out /{start.name}",
+            desc=f"simulation {start.name}",
             unit="step",
-            disable=self._silent,
+            leave=False,
+            disable=self._disable,
         )
 
-    def on_rollout_step(self, start: RolloutStart, step: int, state: Particles) -> None:
-        """Moves the bar."""
+    def on_rollout_step(
+        self, start: RolloutStart, step: int, states: Mapping[str, Particles]
+    ) -> None:
+        """Move the bar."""
         self._bar.update()
 
     def on_rollout_end(self, start: RolloutStart) -> None:
-        """Leaves the bar as it stands."""
+        """Close the bar."""
         self._bar.close()

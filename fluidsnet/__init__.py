@@ -5,6 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from fluidsnet.compile_cache import set_compile_cache
+
 if TYPE_CHECKING:
     from fluidsnet.models import load as load
     from fluidsnet.module import FluidsNet as FluidsNet
@@ -12,6 +14,8 @@ if TYPE_CHECKING:
 __all__ = ["FluidsNet", "load"]
 
 _MODULES = {"FluidsNet": "fluidsnet.module", "load": "fluidsnet.models"}
+
+set_compile_cache()
 
 
 def __getattr__(name: str) -> Any:

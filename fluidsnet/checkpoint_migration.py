@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from fluidsnet.checkpoint import NOTE, PREFIX
+from fluidsnet.deprecated import with_current_names
 
-#: Arguments of `FluidsNet`, which are names of blocks too: old to new.
-RENAMED_ARGUMENTS = {"context": "global_feature", "cells": "grid_shape"}
-_OLD_CLASS, _NEW_CLASS = "NoContext", "NoGlobalFeature"
 _OLD_NOTE, _OLD_TWINS = "fluidsnet_blocks", "fluidsnet_twins"
 
 
@@ -21,22 +19,11 @@ def migrate(checkpoint: dict[str, Any]) -> None:
     if _OLD_NOTE not in checkpoint:
         return
     notes = {"model": checkpoint.pop(_OLD_NOTE), **checkpoint.pop(_OLD_TWINS, {})}
-    checkpoint[NOTE] = {model: renamed(note) for model, note in notes.items()}
-    checkpoint["hyper_parameters"] = renamed(checkpoint.get("hyper_parameters", {}))
+    checkpoint[NOTE] = {model: with_current_names(note) for model, note in notes.items()}
+    checkpoint["hyper_parameters"] = with_current_names(checkpoint.get("hyper_parameters", {}))
     checkpoint["state_dict"] = {
         _weight(name): value for name, value in checkpoint["state_dict"].items()
     }
-
-
-def renamed(settings: dict[str, Any]) -> dict[str, Any]:
-    """Return settings of `FluidsNet` with this version's names of arguments and classes."""
-    return {RENAMED_ARGUMENTS.get(name, name): _value(value) for name, value in settings.items()}
-
-
-def _value(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _value(inner) for name, inner in value.items()}
-    return value.replace(_OLD_CLASS, _NEW_CLASS) if isinstance(value, str) else value
 
 
 def _weight(name: str) -> str:

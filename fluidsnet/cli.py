@@ -1,40 +1,60 @@
-"""LightningCLI with what FluidsNet's configs need."""
+"""LightningCLI for fit, validate, test and predict."""
 
 from __future__ import annotations
 
+import os
+import signal
+import sys
 from argparse import SUPPRESS
-from typing import NoReturn
+from collections.abc import Mapping, Sequence
+from typing import Any, NoReturn
 
+from jsonargparse import get_loader, set_loader
 from lightning import Trainer
 from lightning.fabric.utilities.exceptions import MisconfigurationException
+from lightning.pytorch.callbacks import Callback, ProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI, SaveConfigCallback
 from lightning.pytorch.core import LightningModule
+from lightning.pytorch.utilities.exceptions import SIGTERMException
+from yaml import YAMLError
 
 # Imported so that configs can name their classes without the package.
 import callbacks as callbacks
+from callbacks.console_progress import ConsoleProgress
+from callbacks.one_step_table import OneStepTable
+from callbacks.run_summary import RunSummary
 from datamodules.sph import SPHDataModule
-from fluidsnet.config_base import with_base
+from fluidsnet.arguments import rewrite
+from fluidsnet.console import quiet
+from fluidsnet.deprecated import DeprecatedNames
 from fluidsnet.errors import UserError
 from fluidsnet.module import FluidsNet
 
-#: Of everything that is drawn, where nobody sets another.
+#: Default global seed.
 SEED = 0
+#: Folder for the files of a run without a logger.
+UNLOGGED = "runs/unlogged"
+# Name of the parser's YAML loader that replaces deprecated names.
+_LOADER = "fluidsnet"
 
 
 class Parser(LightningArgumentParser):
-    """Says what is wrong without the page of usage that would hide it."""
+    """Parser that raises `UserError` instead of printing its usage."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **{"parser_mode": _LOADER, **kwargs})
 
     def error(self, message: str, ex: Exception | None = None) -> NoReturn:
-        """Ends the parsing.
+        """Raise the `UserError` that caused a parsing error, or one with the parser's message.
 
         Raises:
-            UserError: always; where the cause was one itself, in its words.
+            UserError: Always.
         """
-        raise _ours(ex) or UserError(f"{message}\nSee `{self.prog} --help`.") from ex
+        raise _cause(ex) or UserError(f"{message}\nSee `{self.prog} --help`.") from ex
 
 
 class SaveFitConfig(SaveConfigCallback):
-    """Keeps the configuration of a training run; testing it later does not replace it."""
+    """Save the config of a training run; a later test does not overwrite it."""
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
         if stage == "fit":
@@ -42,10 +62,10 @@ class SaveFitConfig(SaveConfigCallback):
 
 
 class FluidsNetCLI(LightningCLI):
-    """The scene reaches the model from the data, so that nobody types it twice."""
+    """LightningCLI that links the data's grid to the model and adds the console's callbacks."""
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
-        # Read by `with_base`; the parser only has to know that configs may have it.
+        # Read by `with_base`; the parser has to accept the key.
         parser.add_argument("--base", type=list[str] | None, default=None, help=SUPPRESS)
         shape = "grid_shape"
         parser.link_arguments(f"data.{shape}", f"model.init_args.{shape}", apply_on="instantiate")
@@ -56,42 +76,84 @@ class FluidsNetCLI(LightningCLI):
         Lightning would replace ``--model`` options by the checkpoint's hyperparameters.
         """
 
+    def instantiate_trainer(self, **kwargs: Any) -> Trainer:
+        """Instantiate the trainer with `RunSummary` and `ConsoleProgress`."""
+        config = self._get(self.config_init, "trainer")
+        chosen: Any = config.callbacks or []
+        chosen = list(chosen) if isinstance(chosen, list) else [chosen]
+        own: list[Callback] = [RunSummary()]
+        if config.enable_progress_bar is not False and not any(
+            isinstance(callback, ProgressBar) for callback in chosen
+        ):
+            own.append(ConsoleProgress())
+        return super().instantiate_trainer(
+            callbacks=[*own, *chosen],
+            enable_model_summary=config.enable_model_summary or False,
+            default_root_dir=config.default_root_dir or UNLOGGED,
+            **kwargs,
+        )
 
-def _ours(error: BaseException | None) -> UserError | None:
-    """The error of ours that another one was made of, if any."""
-    while error is not None and not isinstance(error, UserError):
-        error = error.__cause__ or error.__context__
-    return error
+    def validate(self, **options: Any) -> None:
+        """Validate and print the metrics, one a line."""
+        self._print(self.trainer.validate(**{**options, "verbose": False}))
+
+    def test(self, **options: Any) -> None:
+        """Test; print the metrics if no `OneStepTable` has printed them."""
+        chosen: list[Callback] = self.trainer.callbacks  # type: ignore[attr-defined]
+        metrics = self.trainer.test(**{**options, "verbose": False})
+        if not any(isinstance(callback, OneStepTable) for callback in chosen):
+            self._print(metrics)
+
+    def _print(self, metrics: Sequence[Mapping[str, float]]) -> None:
+        if self.trainer.is_global_zero:
+            for name, value in metrics[0].items():
+                print(f"{name:<40}{value:.4g}")
 
 
 def run(arguments: list[str]) -> None:
-    """Runs fit, validate, test or predict.
+    """Run fit, validate, test or predict.
 
     Args:
-        arguments: the command and its options.
+        arguments: Command and its options.
 
     Raises:
-        UserError: the options, the data or the combination of blocks cannot be used.
+        UserError: The options, the data or the combination of blocks cannot be used.
     """
+    quiet()
     try:
         _run(arguments)
+    except SIGTERMException:
+        # Lightning would exit with status 0.
+        print("fluidsnet: terminated.", file=sys.stderr)
+        sys.exit(128 + signal.SIGTERM)
     except MisconfigurationException as error:
         raise UserError(str(error)) from error
     except RuntimeError as error:
         if "more than one stateful callback" not in str(error):
             raise
-        # Which one, is in the first sentence.
+        # The first sentence names the callback.
         raise UserError(f"{str(error).partition('. ')[0]}: give each a name of its own.") from error
     except ValueError as error:
-        # A block that refuses its arguments does so inside the parser, which wraps it.
-        ours = _ours(error)
-        if ours is None:
+        # The parser wraps the error of a block that refuses its arguments.
+        cause = _cause(error)
+        if cause is None:
             raise
-        raise ours from error
+        raise cause from error
 
 
 def _run(arguments: list[str]) -> None:
-    FluidsNetCLI(
+    names = DeprecatedNames()
+    load = get_loader("yaml")
+    set_loader(_LOADER, lambda text: names.in_config(load(text)), exceptions=(YAMLError,))
+
+    class CLI(FluidsNetCLI):
+        def before_instantiate_classes(self) -> None:
+            # All configs have been read; processes that Lightning starts for DDP stay silent.
+            warning = names.warning()
+            if warning and os.environ.get("LOCAL_RANK", "0") == "0":
+                print(warning, file=sys.stderr)
+
+    CLI(
         FluidsNet,
         SPHDataModule,
         parser_class=Parser,
@@ -102,5 +164,12 @@ def _run(arguments: list[str]) -> None:
         save_config_kwargs={"overwrite": True},
         seed_everything_default=SEED,
         auto_configure_optimizers=False,
-        args=[*with_base(arguments), "--base=null"],
+        args=[*rewrite(arguments, names), "--base=null"],
     )
+
+
+def _cause(error: BaseException | None) -> UserError | None:
+    """Return the `UserError` in the chain of causes of an error, if any."""
+    while error is not None and not isinstance(error, UserError):
+        error = error.__cause__ or error.__context__
+    return error

@@ -1,10 +1,10 @@
-"""The one error that is meant for the person at the keyboard."""
+"""Error for input that cannot be used."""
 
 from __future__ import annotations
 
 
 class UserError(Exception):
-    """Input that cannot be used; the message says in one sentence what to do about it.
+    """Input that cannot be used; the message says what is wrong, where, and what to do.
 
-    The command line prints the message alone and ends with a non-zero status.
+    The command line prints the message without a traceback and exits with a non-zero status.
     """

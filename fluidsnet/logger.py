@@ -1,4 +1,4 @@
-"""TensorBoard's logger, with nothing outside a group."""
+"""TensorBoard logger whose scalars all belong to a group."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from lightning.pytorch.loggers import TensorBoardLogger
 
 
 class GroupedTensorBoardLogger(TensorBoardLogger):
-    """Lightning's, but the epoch, which Lightning logs by itself, is ``train/epoch``.
+    """Log the epoch, which Lightning adds to all metrics, as ``train/epoch``.
 
-    TensorBoard groups scalars by what comes before the first ``/``.
+    TensorBoard groups scalars by the part of their name before the first ``/``.
     """
 
     def log_metrics(self, metrics: Mapping[str, float], step: int | None = None) -> None:

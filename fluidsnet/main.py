@@ -1,193 +1,91 @@
-"""The front door: LightningCLI for experiments, and words of our own around it."""
+"""Command line of FluidsNet: one table of commands."""
 
 from __future__ import annotations
 
+import io
 import os
-import signal
 import sys
-import warnings
-from collections.abc import Callable
-from itertools import count
-from pathlib import Path
+from importlib import import_module
 
 from fluidsnet.errors import UserError
 
 USAGE = """usage: fluidsnet <command> [options]
 
-Learn a fluid from the particles of an SPH simulation.
+Train a neural network on SPH simulations of fluids, measure it, and roll it out.
 
 data:
-  generate   run the SPH solver on random scenes and store them as HDF5
-  inspect    say what a data file holds, and what in it looks suspicious
+  generate   simulate random scenes with an SPH solver and store them as HDF5 files
+  inspect    describe a data file and report suspicious values
 
-experiments (LightningCLI; compose several --config, base first):
+experiments (settings come from YAML files: --config FILE, repeated; later files win):
   fit        train a network
-  validate   measure a checkpoint on the validation split
-  test       measure a checkpoint on the test split, beside the trivial predictors
-  predict    roll a checkpoint out on the test simulations and write it for ParaView
+  validate   measure a trained network on the validation data
+  test       measure a trained network on the test data and compare it with simple baselines
+  predict    simulate with a trained network and write files for ParaView
 
-studies:
-  speed      time a network's step beside the solver, against the number of particles
-  ablations  what to predict, and with the global feature or without: over scenes and seeds
-  report     write what one run or several logged as one page, with tables and curves
+studies and reports:
+  speed      compare the time per step of a network and of the SPH solver
+  ablations  compare prediction targets and the global feature over several scenes and seeds
+  report     write an HTML page with the tables and curves of one run or several
 
-test, validate and predict take a run's folder in place of its files:
-  fluidsnet test --run runs/demo
+examples:
+  fluidsnet fit --config configs/trainer.yaml --config configs/model/field.yaml \\
+                --config configs/data/sample.yaml
+  fluidsnet test --run runs/fluidsnet/version_0
 
-`fluidsnet <command> --help` says more of each.
+validate, test and predict take the folder of a run (--run) instead of --config and --ckpt_path.
+`fluidsnet <command> --help` lists the options of a command.
 """
+
+# Command to module and function. Modules are imported on demand: some take seconds, and the
+# solver must not be loaded for training.
+_COMMANDS = {
+    "generate": ("datamodules.generate.command", "generate_command"),
+    "inspect": ("datamodules.inspection", "inspect_command"),
+    "fit": ("fluidsnet.cli", "run"),
+    "validate": ("fluidsnet.cli", "run"),
+    "test": ("fluidsnet.cli", "run"),
+    "predict": ("fluidsnet.cli", "run"),
+    "speed": ("fluidsnet.studies.speed.command", "speed_command"),
+    "ablations": ("fluidsnet.studies.ablations.command", "ablations_command"),
+    "report": ("fluidsnet.report.command", "report_command"),
+}
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Runs one command; an error that is the user's to mend is one sentence and status 1."""
-    # Read when OpenMP is loaded, with torch. Its threads otherwise spin for long while they
-    # wait for each other, and beside one other busy process a step takes ten times as long.
+    """Run one command; print a `UserError` as one sentence and exit with status 1."""
+    # OpenMP reads this when torch is loaded. By default its threads spin while they wait; a step
+    # then takes ten times as long if one other process uses a core.
     os.environ.setdefault("GOMP_SPINCOUNT", "1000")
-    arguments = sys.argv[1:] if arguments is None else arguments
-    words: dict[str, Callable[[list[str]], None]] = {
-        "generate": _generate,
-        "inspect": _inspect,
-        "fit": _experiment,
-        "validate": _experiment,
-        "test": _experiment,
-        "predict": _experiment,
-        "speed": _speed,
-        "ablations": _ablations,
-        "report": _report,
-    }
-    if not arguments or arguments[0] in ("-h", "--help"):
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # In a log file, keeps the order of tables and of progress lines on stderr.
+        sys.stdout.reconfigure(line_buffering=True)
+    command, *options = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    if command in ("-h", "--help"):
         print(USAGE, end="")
         return
-    if arguments[0] not in words:
-        print(
-            f"fluidsnet: there is no command {arguments[0]!r}; "
-            f"the commands are {', '.join(words)}.",
-            file=sys.stderr,
-        )
+    if command not in _COMMANDS:
+        names = ", ".join(_COMMANDS)
+        print(f"fluidsnet: unknown command {command!r}; commands: {names}.", file=sys.stderr)
         sys.exit(2)
+    module, function = _COMMANDS[command]
     try:
-        words[arguments[0]](arguments)
+        run = getattr(import_module(module), function)
+        run([command, *options] if module == "fluidsnet.cli" else options)
     except UserError as error:
-        print(f"fluidsnet: {_words(error)}", file=sys.stderr)
+        print(f"fluidsnet: {_message(error)}", file=sys.stderr)
         sys.exit(1)
     except KeyboardInterrupt:
         print("fluidsnet: interrupted.", file=sys.stderr)
         sys.exit(130)
 
 
-def _words(error: UserError) -> str:
-    """What an error says, without what torch adds to one from a process that reads ahead."""
-    words = str(error)
-    if words.startswith("Caught UserError in "):
-        # Then comes that process's traceback, which ends with the error.
-        words = words.rpartition(f"{UserError.__module__}.{UserError.__name__}: ")[2].strip()
-    return words
-
-
-def _generate(arguments: list[str]) -> None:
-    from datamodules.generate.command import generate_command
-
-    generate_command(arguments[1:])
-
-
-def _inspect(arguments: list[str]) -> None:
-    from datamodules.inspection import inspect_command
-
-    inspect_command(arguments[1:])
-
-
-def _speed(arguments: list[str]) -> None:
-    from fluidsnet.studies.speed import speed_command
-
-    speed_command(arguments[1:])
-
-
-def _ablations(arguments: list[str]) -> None:
-    from fluidsnet.studies.ablations.command import ablations_command
-
-    ablations_command(arguments[1:])
-
-
-def _report(arguments: list[str]) -> None:
-    from fluidsnet.report.command import report_command
-
-    report_command(arguments[1:])
-
-
-def _experiment(arguments: list[str]) -> None:
-    # Harmless, and said at each start.
-    for message in (
-        ".*does not have many workers.*",
-        ".*LightningCLI's args parameter is intended.*",
-        ".*isinstance.treespec, LeafSpec.*",
-        ".*is already saved during checkpointing.*",
-        ".*predict returned None.*",
-        ".*Grad strides do not match bucket view strides.*",
-    ):
-        warnings.filterwarnings("ignore", message)
-    from lightning.pytorch.utilities.exceptions import SIGTERMException
-
-    from fluidsnet.cli import run
-
-    try:
-        run(_with_run(arguments))
-    except SIGTERMException:
-        # Lightning ends with status 0, as if the work were done.
-        print("fluidsnet: terminated.", file=sys.stderr)
-        sys.exit(128 + signal.SIGTERM)
-
-
-def _with_run(arguments: list[str]) -> list[str]:
-    """Replaces ``--run FOLDER`` by the configuration and the best checkpoint that lie there.
-
-    Raises:
-        UserError: they do not lie there, or the command trains.
-    """
-    folder, rest = None, []
-    words = iter(arguments)
-    for word in words:
-        if word == "--run":
-            folder = next(words, None)
-            if folder is None:
-                raise UserError("--run needs the folder of a run, such as runs/demo.")
-        elif word.startswith("--run="):
-            folder = word.removeprefix("--run=")
-        else:
-            rest.append(word)
-    if folder is None:
-        return rest
-    if rest[0] == "fit":
-        raise UserError("--run names a run to test or predict with; fit takes --config.")
-    config = Path(folder) / "config.yaml"
-    checkpoint = Path(folder) / "checkpoints" / "best.ckpt"
-    if not checkpoint.exists():
-        # A run that ended before its first validation has no best.
-        checkpoint = checkpoint.with_name("last.ckpt")
-    for path in (config, checkpoint):
-        if not path.exists():
-            raise UserError(f"{folder} is not the folder of a run: {path} is missing.")
-    _keep_metrics(Path(folder))
-    # What the command leaves goes to the run's own folder.
-    logger = "--trainer.logger.init_args"
-    here = Path(folder).resolve()
-    return [
-        rest[0],
-        f"--config={config}",
-        f"--ckpt_path={checkpoint}",
-        f"{logger}.save_dir={here.parent}",
-        f"{logger}.name={here.name}",
-        f"{logger}.version=",
-        *rest[1:],
-    ]
-
-
-def _keep_metrics(folder: Path) -> None:
-    """Renames the metrics of a CSVLogger, which deletes those that it finds in its folder."""
-    metrics = folder / "metrics.csv"
-    # Of several processes, those that others have started come later.
-    if metrics.exists() and os.environ.get("LOCAL_RANK", "0") == "0":
-        others = (folder / f"metrics_{number}.csv" for number in count(1))
-        metrics.rename(next(other for other in others if not other.exists()))
+def _message(error: UserError) -> str:
+    """Return an error's message without the traceback that a DataLoader worker adds."""
+    message = str(error)
+    if message.startswith("Caught UserError in "):
+        message = message.rpartition(f"{UserError.__module__}.{UserError.__name__}: ")[2].strip()
+    return message
 
 
 if __name__ == "__main__":

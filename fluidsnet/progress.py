@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -15,7 +16,8 @@ INTERVAL = 10.0
 class Progress(tqdm):  # type: ignore[type-arg]
     """A tqdm bar that writes whole lines where its file is not a terminal.
 
-    A log file then has no carriage returns and no blank line where a bar was.
+    It then writes a line every `INTERVAL` seconds and one at the end, without carriage returns.
+    A bar with ``leave=False`` writes no last line, so that short ones write nothing.
 
     Args:
         *args: As for `tqdm.tqdm`.
@@ -23,34 +25,56 @@ class Progress(tqdm):  # type: ignore[type-arg]
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        file = kwargs.get("file") or sys.stderr
-        self._interactive = bool(file.isatty())
-        if not self._interactive:
-            kwargs |= {"mininterval": INTERVAL, "maxinterval": INTERVAL, "dynamic_ncols": False}
-            kwargs.setdefault("bar_format", "{desc}: {n_fmt}/{total_fmt} {unit}, {rate_fmt}")
+        self._terminal = bool((kwargs.get("file") or sys.stderr).isatty())
+        self._written = time.monotonic()
+        # tqdm puts no space between a rate and its unit.
+        kwargs["unit"] = f" {kwargs.get('unit', 'it').strip()}"
+        if not self._terminal:
+            description = (kwargs.get("desc") or "").rstrip(": ")
+            kwargs["desc"] = f"{description}: " if description else ""
+            kwargs["bar_format"] = "{desc}{n_fmt}/{total_fmt}, {rate_fmt}{postfix}"
         super().__init__(*args, **kwargs)
 
     @staticmethod
     def status_printer(file: Any) -> Callable[[str], None]:
-        """Return a function that shows a status in place of the last one, or on its own line."""
+        """Return a function that overwrites the last status, or writes one on a new line."""
         if file.isatty():
-            shown: Callable[[str], None] = tqdm.status_printer(file)
-            return shown
+            overwrite: Callable[[str], None] = tqdm.status_printer(file)
+            return overwrite
 
         def write(status: str) -> None:
-            if status.strip():
-                file.write(f"{status}\n")
-                file.flush()
+            file.write(f"{status}\n")
+            file.flush()
 
         return write
 
+    def display(self, msg: str | None = None, pos: int | None = None) -> None:
+        """Show the status; in a file only if the last line is `INTERVAL` seconds old."""
+        if self._terminal:
+            super().display(msg, pos)
+        elif time.monotonic() - self._written >= INTERVAL:
+            self._write()
+
+    def __str__(self) -> str:
+        status = super().__str__().replace("s/ ", " s/")
+        return status if self._terminal else " ".join(status.split())
+
+    def clear(self, nolock: bool = False) -> None:
+        """Remove the bar from the terminal."""
+        if self._terminal:
+            super().clear(nolock)
+
     def close(self) -> None:
-        """Show the last state and end the bar."""
-        if self._interactive or self.disable:
+        """Show the last status and end the bar."""
+        if self._terminal or self.disable:
             super().close()
             return
         if self.leave:
-            self.display()
-        # tqdm would end the line that the bar was on.
+            self._write()
+        # tqdm's `close` would write an empty line.
         self.disable = True
         self._decr_instances(self)  # type: ignore[attr-defined]
+
+    def _write(self) -> None:
+        self._written = time.monotonic()
+        self.sp(str(self))

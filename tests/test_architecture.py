@@ -10,6 +10,9 @@ ROOT = Path(__file__).parents[1]
 #: What may import what: a module may import those of a lower rank, and its own package.
 RANKS = {
     "fluidsnet.cache": 0,
+    "fluidsnet.compile_cache": 0,
+    "fluidsnet.console": 0,
+    "fluidsnet.deprecated": 0,
     "fluidsnet.distributed": 0,
     "fluidsnet.errors": 0,
     "fluidsnet.memory": 0,
@@ -18,7 +21,6 @@ RANKS = {
     "fluidsnet.same_settings": 0,
     "fluidsnet.scene": 0,
     "fluidsnet.statistics": 0,
-    "fluidsnet.config_base": 1,
     "fluidsnet.export": 1,
     "fluidsnet.loss": 1,
     "fluidsnet.particles": 1,
@@ -49,6 +51,7 @@ RANKS = {
     "fluidsnet.reporting": 10,
     "callbacks": 12,
     "datamodules": 12,
+    "fluidsnet.arguments": 12,
     "fluidsnet.cli": 13,
     "fluidsnet.report": 14,
     "fluidsnet.studies": 15,
@@ -115,6 +118,17 @@ def test_only_one_module_imports_the_solver() -> None:
         module for module, path in modules().items() if "import pysplishsplash" in path.read_text()
     ]
     assert importers == ["datamodules.generate.solver"]
+
+
+def test_only_kernels_import_numba() -> None:
+    importers = {
+        place(module)
+        for module, path in modules().items()
+        for node in ast.walk(ast.parse(path.read_text()))
+        if (isinstance(node, ast.Import) and any("numba" in alias.name for alias in node.names))
+        or (isinstance(node, ast.ImportFrom) and "numba" in (node.module or ""))
+    }
+    assert importers == {"fluidsnet.kernels"}
 
 
 def test_the_network_knows_neither_lightning_nor_hdf5() -> None:

@@ -1,4 +1,4 @@
-"""The front door: every file in configs/ is run, on the sample."""
+"""Command line: every file in configs/ is run, on the sample."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from tensorboard.plugins.custom_scalar.layout_pb2 import Layout
 
 from datamodules.generate.command import _parser as generate_parser
-from fluidsnet.config_base import with_base
+from fluidsnet.arguments import with_base
 from fluidsnet.errors import UserError
 from fluidsnet.export.vtkhdf import read_field_data, read_frame
 from fluidsnet.main import USAGE, main
@@ -31,6 +31,8 @@ CONFIGS = ROOT / "configs"
 TRAINER = CONFIGS / "trainer.yaml"
 PAPER = CONFIGS / "model" / "paper.yaml"
 SAMPLE = CONFIGS / "data" / "sample.yaml"
+# Folder in the folder of a run for results on the sample.
+RESULTS = Path("results") / "dam_break"
 
 # It logs to the stderr that there is when it is loaded, which must not be one test's own.
 assert lightning
@@ -69,21 +71,21 @@ def test_every_model_trains_is_tested_and_rolls_out(
     folder = tmp_path / "run"
     assert (folder / "config.yaml").exists()
     run("test", more=(f"--run={folder}",))
-    with (folder / "one_step.csv").open() as file:
+    with (folder / RESULTS / "one_step.csv").open() as file:
         rows = list(csv.reader(file))
     assert [row[0] for row in rows[1:]] == ["model", "constant velocity", "ballistic"]
-    with (folder / "rollout_metrics.csv").open() as file:
+    with (folder / RESULTS / "rollout_metrics.csv").open() as file:
         measured = [(row["predictor"], row["steps"]) for row in csv.DictReader(file)]
     assert ("model", "1") in measured and ("truth", "25") in measured
-    assert (folder / "rollout_metrics.png").exists()
+    assert (folder / RESULTS / "rollout_metrics.png").exists()
     printed = capsys.readouterr().out
-    assert (folder / "one_step.md").read_text() in printed
+    assert (folder / RESULTS / "one_step.md").read_text() in printed
     run("predict", more=(f"--run={folder}", "--data.init_args.rollout_steps=3"))
-    assert (folder / "rollout.png").stat().st_size > 10_000
-    with (folder / "rollout.csv").open() as file:
-        table = list(csv.DictReader(file))
+    assert (folder / RESULTS / "rollout.png").stat().st_size > 10_000
+    with (folder / RESULTS / "rollout_metrics_predict.csv").open() as file:
+        table = [row for row in csv.DictReader(file) if row["predictor"] == "model"]
     assert [row["steps"] for row in table] == ["1", "2", "3"]
-    assert len(list((folder / "rollouts").glob("*.vtkhdf"))) == 1
+    assert len(list((folder / RESULTS / "rollouts").glob("*.vtkhdf"))) == 1
     # A later test or prediction leaves the training's own configuration in place.
     assert "rollout_steps: null" in (folder / "config.yaml").read_text()
 
@@ -114,14 +116,14 @@ def test_every_ablation_is_compared_while_training_and_in_the_test(
     assert {*costs, *(tag for tags in charts.values() for tag in tags)} <= scalars
     assert all(events.Scalars(cost)[0].value > 0 for cost in costs)
     run("test", more=(f"--run={folder}",))
-    with (folder / "one_step.csv").open() as file:
+    with (folder / RESULTS / "one_step.csv").open() as file:
         rows = [row[0] for row in csv.reader(file)]
     assert rows[1:] == ["model", name.replace("_", " "), "constant velocity", "ballistic"]
     named = [callback["class_path"] for callback in callbacks]
-    assert (folder / "global_feature_permutation.md").exists() == (
+    assert (folder / RESULTS / "global_feature_permutation.md").exists() == (
         "callbacks.GlobalFeaturePermutation" in named
     )
-    assert (folder / "ablation.png").exists()
+    assert (folder / RESULTS / "ablation.png").exists()
 
 
 def test_the_documented_ablations_of_other_blocks_run(
@@ -135,9 +137,9 @@ def test_the_documented_ablations_of_other_blocks_run(
     folder = tmp_path / "run"
     # Any test can look at the global feature.
     run("test", more=(f"--run={folder}", "--trainer.callbacks+=callbacks.GlobalFeaturePermutation"))
-    rows = (folder / "one_step.md").read_text()
+    rows = (folder / RESULTS / "one_step.md").read_text()
     assert all(name in rows for name in ("trapezoid", "full convolutions", "wide head"))
-    assert (folder / "global_feature_permutation.md").exists()
+    assert (folder / RESULTS / "global_feature_permutation.md").exists()
     # The twins may be left out.
     alone = [f"--config={config}" for config in (TRAINER, PAPER, SAMPLE)]
     root = f"--data.init_args.root={sample}"
@@ -283,7 +285,7 @@ def test_the_rollout_file_holds_the_start_the_truths_error_and_each_step(
     folder = tmp_path / "run"
     # Ten steps more than the sample's 40, where there is no truth any more.
     run("predict", more=(f"--run={folder}", "--data.init_args.rollout_steps=50"))
-    path = folder / "rollouts" / "00000.vtkhdf"
+    path = folder / RESULTS / "rollouts" / "00000.vtkhdf"
     figures = read_field_data(path)
     with h5py.File(sample / "test.h5") as file:
         truth = file["00000/position"][()].astype(np.float64)
@@ -301,12 +303,12 @@ def test_the_rollout_file_holds_the_start_the_truths_error_and_each_step(
         expected = 1000 * np.linalg.norm(still, axis=1).mean()
         assert figures["constant_velocity_mm"][step] == pytest.approx(expected, rel=1e-4, abs=1e-3)
     assert np.isnan(figures["position_error_mm"][41:]).all()
-    with (folder / "rollout.csv").open() as file_:
-        table = list(csv.DictReader(file_))
+    with (folder / RESULTS / "rollout_metrics_predict.csv").open() as file_:
+        table = [row for row in csv.DictReader(file_) if row["predictor"] == "model"]
     assert [row["steps"] for row in table] == ["1", "2", "5", "10", "25", "40"]
     for row in table:
         step = int(row["steps"])
-        assert float(row["model mm"]) == pytest.approx(figures["position_error_mm"][step])
+        assert float(row["position_error mm"]) == pytest.approx(figures["position_error_mm"][step])
 
 
 @pytest.mark.parametrize(
@@ -347,10 +349,26 @@ def test_bad_input_is_one_sentence_and_a_status(
 
 
 def _elsewhere(arguments: list[str], folder: Path) -> list[str]:
-    logs = "--trainer.logger=false" not in arguments
-    if logs and any("trainer.yaml" in argument for argument in arguments):
+    if "--trainer.logger=false" in arguments:
+        return [f"--trainer.default_root_dir={folder}"]
+    if arguments[0] == "fit" and any("configs" in argument for argument in arguments):
         return [f"--trainer.logger.init_args.save_dir={folder}"]
     return []
+
+
+@pytest.mark.parametrize("option", ["--trainer.logger=false", "--trainer.fast_dev_run=true"])
+def test_a_run_without_a_logger_leaves_the_working_folder_alone(
+    option: str, sample: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    unlogged = ["--trainer.callbacks=[callbacks.OneStepTable]", "--trainer.max_steps=2", option]
+    configs = [f"--config={config}" for config in (TRAINER, PAPER, SAMPLE)]
+    main(["fit", *configs, f"--data.init_args.root={sample}", *unlogged])
+    folders = [] if "fast_dev_run" in option else ["runs"]
+    assert [path.name for path in tmp_path.iterdir()] == folders
+    if folders:
+        assert (tmp_path / "runs" / "unlogged" / "config.yaml").exists()
+        assert list((tmp_path / "runs" / "unlogged").rglob("*.ckpt"))
 
 
 def test_the_last_weights_are_kept_beside_the_best_and_trained_on(run: Run, tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
-"""The wheels of torch-scatter and torch-cluster, compiled once for each torch.
+"""Compile the wheels of torch-scatter and torch-cluster, once for each version of torch.
 
-They come as source only and fit only the torch they were compiled against, so they are kept in
-a folder of the user's cache that is named after that torch.
+PyPI has their source only, and a wheel fits only the torch it was compiled against. The wheels
+are kept in a folder of the user's cache that is named after that torch.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from pathlib import Path
 from tools.jobs import VENV, InstallError, Job, run, say
 from tools.venv import torch_version
 
-# Source files of each, without those for CUDA; only to show how far it has come.
+# Number of source files without those for CUDA, to show the progress.
 COMPILED = {"torch-scatter": 7, "torch-cluster": 16}
 
 
 def builds_for_cuda() -> bool:
-    """Whether the packages will compile their CUDA parts; the same question as they ask."""
+    """Return whether the packages will compile their CUDA parts, by the check that they use."""
     program = (
         "import torch; from torch.utils.cpp_extension import CUDA_HOME; "
         "gpu = torch.cuda.is_available(); "
@@ -49,7 +49,7 @@ def builds_for_cuda() -> bool:
 
 
 def require_compiler() -> dict[str, str]:
-    """Refuses to begin what would fail after minutes; returns variables that name the compiler."""
+    """Check that compiler and Python headers exist; return variables that name the compiler."""
     mac = sys.platform == "darwin"
     compilers = [os.environ.get("CXX", ""), "c++", "g++", "clang++"]
     compiler = next((c for c in compilers if c and shutil.which(shlex.split(c)[0])), None)
@@ -72,7 +72,7 @@ def require_compiler() -> dict[str, str]:
 
 
 def jobs_each(packages: int) -> int:
-    """Compilers a package may run at once: all cores in use, and 2 GiB for each compiler."""
+    """Return the number of compilers per package that cores and memory (2 GiB each) allow."""
     if os.environ.get("MAX_JOBS", "").isdigit():
         return max(1, int(os.environ["MAX_JOBS"]))
     try:
@@ -85,8 +85,11 @@ def jobs_each(packages: int) -> int:
 
 @contextlib.contextmanager
 def alone_in(folder: Path) -> Iterator[None]:
-    """Waits until no other installation uses the folder; a killed one leaves no lock behind."""
-    import fcntl  # here, so that Windows, which lacks it, gets as far as being told so
+    """Hold the lock of a folder; the lock of a killed installation is released.
+
+    Another installation that uses the folder is waited for.
+    """
+    import fcntl  # here, since Windows has none and is refused with a message first
 
     with (folder / ".lock").open("w") as lock:
         try:
@@ -98,7 +101,7 @@ def alone_in(folder: Path) -> Iterator[None]:
 
 
 def compiled_wheels(versions: dict[str, str]) -> list[Path]:
-    """The wheels of torch-scatter and torch-cluster for this torch, compiled where missing."""
+    """Return the wheels of torch-scatter and torch-cluster; compile those that are missing."""
     cuda = builds_for_cuda()
     tag = "cp{}{}".format(*sys.version_info) + ("t" if "t" in sys.abiflags else "")
     platform = re.sub(r"\W", "_", sysconfig.get_platform())
@@ -133,21 +136,21 @@ def build(
     environment: dict[str, str],
     parallel: bool,
 ) -> None:
-    """Compiles packages side by side; a wheel appears in the folder only when it is whole."""
+    """Compile packages in parallel; a wheel is moved to the folder when it is complete."""
     each = jobs_each(len(names))
     with tempfile.TemporaryDirectory(
         prefix="building-", dir=folder, ignore_cleanup_errors=True
     ) as scratch:
         settings = Path(scratch) / "build.cfg"
-        # Both packages compile without ninja, one file at a time unless setuptools is told
-        # otherwise. It shares one compiler object between threads, which torch changes for CUDA.
+        # Both packages compile without ninja, and setuptools would take one file at a time. Not
+        # for CUDA: torch changes the compiler object that setuptools' threads share.
         settings.write_text(f"[build_ext]\nparallel = {each}\n" if parallel else "")
         environment = {
             **environment,
             "MAX_JOBS": str(each),
             "DIST_EXTRA_CONFIG": str(settings),
-            # Debug information is a third of the compiler's work, and is stripped in the end.
-            # These flags are added to Python's own; CFLAGS and CXXFLAGS would replace them.
+            # Without debug information, a third of the compiler's work, which is stripped anyway.
+            # CPPFLAGS add to Python's flags; CFLAGS and CXXFLAGS would replace them.
             "CPPFLAGS": f"{os.environ.get('CPPFLAGS', '')} -g0",
             "PATH": f"{VENV / 'bin'}{os.pathsep}{os.environ['PATH']}",
             "PYTHONUNBUFFERED": "1",
@@ -161,7 +164,7 @@ def build(
                 for wheel in finished.glob("*.whl"):
                     wheel.replace(folder / wheel.name)
 
-            # pip's cache does not know which torch a wheel was compiled against.
+            # No cache: pip does not tell wheels for different torch versions apart.
             options = ["-v", "--no-build-isolation", "--no-deps", "--no-cache-dir"]
             requirement = f"{name}=={versions[name]}"
             return Job(

@@ -1,4 +1,4 @@
-"""``make demo``: data, training, test, rollout, and where each of them lies."""
+"""``make demo``: generate data, train, test, roll out, and list the files."""
 
 from __future__ import annotations
 
@@ -12,62 +12,66 @@ ROOT = Path(__file__).parents[1]
 RUN = Path("runs") / "demo"
 
 
-def fluidsnet(*words: str) -> None:
-    """Runs a command of the program, shown first as one would type it."""
-    print(f"\n$ fluidsnet {' '.join(words)}", flush=True)
-    ended = subprocess.run([sys.executable, "-m", "fluidsnet.main", *words], cwd=ROOT, check=False)
-    if ended.returncode != 0:
-        sys.exit(f"The demo stops here: the command above failed ({ended.returncode}).")
+def fluidsnet(*arguments: str) -> None:
+    """Print and run a `fluidsnet` command; exit if it fails."""
+    print(f"\n$ fluidsnet {' '.join(arguments)}", flush=True)
+    program = [sys.executable, "-m", "fluidsnet.main"]
+    status = subprocess.run([*program, *arguments], cwd=ROOT, check=False).returncode
+    if status != 0:
+        sys.exit(f"The demo stops here: the command above failed with status {status}.")
 
 
 def reason_against_the_solver() -> str | None:
-    """Why the solver cannot run here, or None where it can."""
-    # In a process of its own: where the solver cannot be loaded it may take Python with it.
+    """Return the reason why the solver cannot run on this machine, None if it can."""
+    # In a subprocess: loading the solver may crash Python.
     probe = "from datamodules.generate.solver import load_solver as load; load()"
-    tried = subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-c", probe], cwd=ROOT, capture_output=True, text=True, check=False
     )
-    if tried.returncode == 0:
+    if done.returncode == 0:
         return None
-    words = tried.stderr.strip().splitlines()
-    return words[-1].partition(": ")[2] if words else f"it ends with status {tried.returncode}"
+    lines = done.stderr.strip().splitlines()
+    return lines[-1].partition(": ")[2] if lines else f"it ends with status {done.returncode}"
 
 
 def main() -> None:
-    """Runs the demo from the repository's root."""
+    """Run the demo in the repository's root."""
     started = time.monotonic()
     configs = ["configs/trainer.yaml", "configs/model/field.yaml"]
     reason = reason_against_the_solver()
     if reason is None:
         fluidsnet("generate", "--config", "configs/scene/demo.yaml", "--root", "data/demo")
-        configs.append("configs/data/demo.yaml")
+        data = "demo"
     else:
         print(f"The solver cannot run here: {reason}")
         print("The demo goes on with the small sample that ships with the tests.")
-        configs.append("configs/data/sample.yaml")
-    made = time.monotonic()
+        data = "sample"
+    configs.append(f"configs/data/{data}.yaml")
+    generated = time.monotonic()
     shutil.rmtree(ROOT / RUN, ignore_errors=True)
-    composed = [word for config in [*configs, "configs/demo.yaml"] for word in ("--config", config)]
-    fluidsnet("fit", *composed)
+    options = [f"--config={config}" for config in [*configs, "configs/demo.yaml"]]
+    fluidsnet("fit", *options)
     trained = time.monotonic()
     fluidsnet("test", "--run", str(RUN))
     fluidsnet("predict", "--run", str(RUN))
     ended = time.monotonic()
+    # The folder has the name of the data's folder.
+    results = RUN / "results" / ("demo" if data == "demo" else "dam_break")
     print(
         f"""
-The demo took {ended - started:.0f} s: data {made - started:.0f} s, training \
-{trained - made:.0f} s, test and rollouts {ended - trained:.0f} s.
+The demo took {ended - started:.0f} s: data {generated - started:.0f} s, training \
+{trained - generated:.0f} s, test and rollouts {ended - trained:.0f} s.
 
-  one step beside trivial predictors  {RUN}/one_step.md
-  every metric of the rollouts        {RUN}/rollout_metrics.md and .png
-  errors of the rollouts              {RUN}/rollout.md
-  truth and prediction side by side   {RUN}/rollout.png
-  rollouts for ParaView               {RUN}/rollouts/*.vtkhdf
-  checkpoint                          {RUN}/checkpoints/best.ckpt
-  configuration                       {RUN}/config.yaml
-  TensorBoard events                  {RUN}/events.out.tfevents.*
+  errors of one step, and baselines    {results}/one_step.md
+  metrics of the rollouts              {results}/rollout_metrics.md and .png
+  metrics of the predicted rollouts    {results}/rollout_metrics_predict.md
+  truth and prediction side by side    {results}/rollout.png
+  rollouts for ParaView                {results}/rollouts/*.vtkhdf
+  checkpoint                           {RUN}/checkpoints/best.ckpt
+  configuration                        {RUN}/config.yaml
+  TensorBoard events                   {RUN}/events.out.tfevents.*
 
-Look at the training with
+To see the curves of the training, run
   .venv/bin/tensorboard --logdir runs"""
     )
 

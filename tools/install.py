@@ -1,8 +1,7 @@
-"""Installs FluidsNet and what it needs into `.venv`; `make setup` runs it.
+"""Install FluidsNet and its dependencies into `.venv`; run by `make setup`.
 
-It knows only the standard library. Started by any Python, it makes `.venv` and starts itself
-again with the Python in there, which does the rest. Where nothing has changed since the last
-time, it ends at once.
+Uses only the standard library. Any Python can start it: it creates `.venv` and runs itself again
+with the Python in there. It ends at once if nothing has changed since the last installation.
 """
 
 from __future__ import annotations
@@ -33,21 +32,21 @@ from tools.venv import (
 
 STAMP = VENV / ".fluidsnet-installed"
 
-# A plain `torch` may be a CUDA build of several GB; this is the release the tests run with.
+# The release that the tests run with.
 DEFAULT_TORCH = "torch==2.13.0"
-# By name, since Windows has no SIGHUP.
+# By name, because Windows has no SIGHUP.
 STOPPING = [s for s in signal.Signals if s.name in ("SIGINT", "SIGTERM", "SIGHUP")]
 
 
 def fingerprint() -> str:
-    """Changes whenever the installation has to be looked at again."""
+    """Return a hash that changes if the installation has to be checked again."""
     parts = [ROOT / "pyproject.toml", *sorted(Path(__file__).resolve().parent.glob("*.py"))]
     facts = f"{ROOT} {sys.version} {torch_version()}"
     return hashlib.sha256(b"".join(p.read_bytes() for p in parts) + facts.encode()).hexdigest()
 
 
 def is_up_to_date() -> bool:
-    """Whether the last installation ended well, with all as it is now."""
+    """Return True if the last installation succeeded and nothing has changed since."""
     try:
         stamp = json.loads(STAMP.read_text())
     except (OSError, ValueError):
@@ -57,17 +56,21 @@ def is_up_to_date() -> bool:
 
 
 def install_torch(oldest: str) -> None:
-    """Sees to it that there is a torch, preferring one that is there already."""
-    asked = os.environ.get("TORCH")
+    """Install torch unless one is installed already.
+
+    Args:
+        oldest: Oldest version that FluidsNet works with.
+    """
+    requested = os.environ.get("TORCH")
     users = os.environ.get(TORCH_FOLDER_VARIABLE)
-    if asked:
-        pip_install(f"installing {asked}", *shlex.split(asked))
+    if requested:
+        pip_install(f"installing {requested}", *shlex.split(requested))
     elif users:
         if torch_folder() is None:
             link = Path(sysconfig.get_path("purelib")) / "fluidsnet_torch.pth"
             link.write_text(f"{users}\n")
             sys.path.append(users)
-        say(f"keeping the torch {torch_version()} that is there, in {torch_folder()}")
+        say(f"using the installed torch {torch_version()} in {torch_folder()}")
     elif torch_folder() is None:
         pip_install(f"installing {DEFAULT_TORCH}", DEFAULT_TORCH)
     importlib.invalidate_caches()
@@ -80,12 +83,12 @@ def install_torch(oldest: str) -> None:
 
 
 def lower_bound(requirement: str) -> str:
-    """`2.1.2` of `torch-scatter>=2.1.2,<3`."""
+    """Return the lower bound of a requirement: `2.1.2` of `torch-scatter>=2.1.2,<3`."""
     return requirement.split(">=")[1].split(",")[0]
 
 
 def install_solver(requirement: str, constraints: list[str]) -> None:
-    """Installs the solver where it has a wheel, and says what is missing where it does not run."""
+    """Install the solver if it has a wheel for this platform; print what it lacks to run."""
     only_wheel = ["--only-binary", "pysplishsplash"]
     try:
         pip_install("installing the solver", *only_wheel, *constraints, requirement)
@@ -106,8 +109,9 @@ def install_solver(requirement: str, constraints: list[str]) -> None:
 
 
 def install() -> None:
-    """Every step, in `.venv`; those already done cost seconds."""
-    import tomllib  # here, so that a Python without it gets as far as being told so
+    """Install everything into `.venv`; steps that are done already take seconds."""
+    # Python 3.10 lacks it and has to reach the error message of `require_python`.
+    import tomllib
 
     STAMP.unlink(missing_ok=True)
     if importlib.util.find_spec("pip") is None:
@@ -133,10 +137,10 @@ def install() -> None:
     pip_install("installing packages", *constraints, *build_tools, *others, *extras["dev"])
 
     wheels = compiled_wheels({name: lower_bound(r) for name, r in compiled.items()})
-    # By path, so that no other wheel of the same version, for another torch, is taken; by force,
-    # since the one that is installed may be for another torch.
-    anew = ["--no-index", "--no-deps", "--force-reinstall"]
-    pip_install("installing torch-scatter and torch-cluster", *anew, *map(str, wheels))
+    # By path and by force: other wheels of this version, and installed ones, may be for another
+    # torch.
+    options = ["--no-index", "--no-deps", "--force-reinstall"]
+    pip_install("installing torch-scatter and torch-cluster", *options, *map(str, wheels))
     program = "import torch, torch_scatter, torch_cluster"
     if subprocess.run([sys.executable, "-c", program]).returncode != 0:
         raise InstallError(
@@ -155,14 +159,14 @@ def install() -> None:
 
 
 def stop(*_: object) -> NoReturn:
-    """Turns a signal into an exception, so that what was started is ended as well."""
-    for number in STOPPING:  # a second one, as make sends it, must not interrupt that
+    """Raise `KeyboardInterrupt` on a signal, so that running jobs are ended."""
+    for number in STOPPING:  # make sends a second one, which must not interrupt the cleanup
         signal.signal(number, signal.SIG_IGN)
     raise KeyboardInterrupt
 
 
 def main() -> int:
-    """Installs, or says in one sentence why not."""
+    """Install, or print one sentence that says why it failed."""
     if sys.platform == "win32":
         print("error: FluidsNet installs on Linux and macOS; use WSL on Windows.", file=sys.stderr)
         return 1
@@ -183,7 +187,7 @@ def main() -> int:
         print(f"error: the installation stopped: {error}.", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("\nstopped; what is whole is kept, the rest is done next time.", file=sys.stderr)
+        print("\nstopped; run it again to continue.", file=sys.stderr)
         return 130
     return 0
 

@@ -1,4 +1,4 @@
-"""Commands that an installation runs side by side, showing that something happens."""
+"""Run installation commands in parallel and show their progress."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COMPILING = re.compile(r"^\s*(\[\d+/\d+\]|\S*(g\+\+|c\+\+|clang|cc)\S*\s.*\s-c\s
 
 
 class InstallError(Exception):
-    """What is wrong and what to do about it, in one sentence; `details` is printed before it."""
+    """Error with one sentence for the user; `details` is printed before it."""
 
     def __init__(self, sentence: str, details: str = "") -> None:
         super().__init__(sentence)
@@ -31,25 +31,25 @@ class InstallError(Exception):
 
 
 def say(sentence: str) -> None:
-    """Prints a line at once."""
+    """Print a line and flush."""
     print(sentence, flush=True)
 
 
 @dataclass
 class Job:
-    """A command, shown by its title while it runs; its output goes to a log."""
+    """A command with a title for its progress and a log file for its output."""
 
     title: str
     command: list[str]
     log: Path = LOG
     environment: dict[str, str] = field(default_factory=dict)
-    sources: str | None = None  # how many source files it compiles, if it does
+    sources: str | None = None  # number of source files that it compiles
     when_done: Callable[[], None] = lambda: None
     process: subprocess.Popen[bytes] = field(init=False)
     began: float = field(init=False)
 
     def start(self) -> None:
-        """Starts the command in a group of its own, so that all of it can be stopped."""
+        """Start the command in a new process group, so that `stop` ends its children too."""
         self.began = time.monotonic()
         with self.log.open("wb") as log:
             self.process = subprocess.Popen(
@@ -63,7 +63,7 @@ class Job:
             )
 
     def stop(self) -> None:
-        """Ends the command and whatever it has started, if it still runs."""
+        """End the command and its children if they still run."""
         if self.process.poll() is not None:
             return
         with contextlib.suppress(ProcessLookupError):
@@ -75,7 +75,7 @@ class Job:
                 os.killpg(self.process.pid, signal.SIGKILL)
 
     def progress(self) -> str:
-        """The title, what has been compiled so far, and the time it has taken."""
+        """Return the title, the number of files compiled so far, and the elapsed time."""
         seconds = f"{time.monotonic() - self.began:.0f} s"
         if self.sources is None:
             return f"{self.title}: {seconds}"
@@ -83,13 +83,17 @@ class Job:
         return f"{self.title}: file {begun} of {self.sources}, {seconds}"
 
     def tail(self) -> str:
-        """The last 15 lines of the log, up to where pip begins to clean up after a failure."""
+        """Return the log's last 15 lines before pip's report of a failure."""
         text = self.log.read_text(errors="replace").split("error: subprocess-exited-with-error")[0]
         return "\n".join(text.rstrip().splitlines()[-15:])
 
 
 def run(*jobs: Job) -> None:
-    """Runs jobs side by side; the first to fail ends them all."""
+    """Run jobs in parallel; if one fails, end the others.
+
+    Raises:
+        InstallError: A job failed.
+    """
     terminal = sys.stdout.isatty()
     clear = "\r\033[K" if terminal else ""
     running: list[Job] = []
@@ -124,5 +128,5 @@ def run(*jobs: Job) -> None:
 
 
 def pip_install(title: str, *arguments: str) -> None:
-    """Runs pip in `.venv`, quietly."""
+    """Run ``pip install`` in `.venv`."""
     run(Job(title, [sys.executable, "-m", "pip", "install", "-q", *arguments]))

@@ -1,9 +1,8 @@
-"""Times a training step of the paper's network: forward, backward and Adam.
+"""Time a training step of the paper's network: forward, backward and Adam.
 
-Run from another checkout's folder it times that one's code, so that two can be compared in one
-run::
+To time another checkout, run its copy of this script with its code::
 
-    PYTHONPATH=<checkout> .venv/bin/python tools/training_step.py data/demo Auto
+    PYTHONPATH=<checkout> .venv/bin/python <checkout>/tools/training_step.py data/demo Auto
 """
 
 from __future__ import annotations
@@ -16,23 +15,22 @@ import time
 from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import torch
 
 import fluidsnet.neighbors
 from datamodules import SPHDataModule
-from fluidsnet import FluidsNet
 from fluidsnet.errors import UserError
+from fluidsnet.model import Model
 
 WARM_UP, STEPS = 4, 30
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Prints the median and the least time of a step; what cannot be used ends it in a sentence."""
-    parser = argparse.ArgumentParser(description="Times a training step of the paper's network.")
+    """Parse the arguments, and print the time of a step or what is wrong with the data set."""
+    parser = argparse.ArgumentParser(description="Time a training step of the paper's network.")
     parser.add_argument("root", type=Path, help="a data set with steps of 5 ms, such as data/demo")
-    parser.add_argument("search", choices=_searches(), help="how neighbors are found")
+    parser.add_argument("search", choices=_searches(), help="neighbor search")
     options = parser.parse_args(arguments)
     try:
         measure(options.root, options.search)
@@ -41,28 +39,26 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def measure(root: Path, search: str) -> None:
-    """Prints the median and the least time of a step, ms.
+    """Print the median and the least time of a step, ms.
 
     Args:
-        root: a data set with steps of 5 ms, such as the demo's.
-        search: a class of `fluidsnet.neighbors`.
+        root: Data set with time steps of 5 ms, such as the demo's.
+        search: Class name of the neighbor search.
 
     Raises:
-        UserError: the data set cannot be used.
+        UserError: The data set cannot be used.
     """
     torch.manual_seed(0)
     data = SPHDataModule(root, voxel_size=1.5 / 18, stride=4, batch_size=2)
     batches = list(islice(data.train_dataloader(), 8))
-    model: Any = FluidsNet(data.grid_shape, neighbors=getattr(fluidsnet.neighbors, search)())
+    model = Model(data.grid_shape, neighbors=getattr(fluidsnet.neighbors, search)())
     model.set_statistics(data.statistics, data.time_step)
-    # There is no Trainer that could log.
-    model.log = lambda *_, **__: None
     optimizer = torch.optim.Adam(model.parameters(), lr=0.003)
     seconds = []
-    for number in range(WARM_UP + STEPS):
+    for index in range(WARM_UP + STEPS):
         started = time.perf_counter()
         optimizer.zero_grad()
-        model.training_step(batches[number % len(batches)], number).backward()
+        model.loss(batches[index % len(batches)]).backward()  # type: ignore[no-untyped-call]
         optimizer.step()
         seconds.append(1000 * (time.perf_counter() - started))
     seconds = seconds[WARM_UP:]
@@ -74,13 +70,13 @@ def measure(root: Path, search: str) -> None:
 
 
 def _searches() -> list[str]:
-    """Those of the checkout at hand."""
+    """Return the class names of the neighbor searches."""
     return [
         name
-        for name, one in vars(fluidsnet.neighbors).items()
-        if inspect.isclass(one)
-        and issubclass(one, fluidsnet.neighbors.NeighborSearch)
-        and not inspect.isabstract(one)
+        for name, kind in vars(fluidsnet.neighbors).items()
+        if inspect.isclass(kind)
+        and issubclass(kind, fluidsnet.neighbors.NeighborSearch)
+        and not inspect.isabstract(kind)
     ]
 
 

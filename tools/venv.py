@@ -1,4 +1,4 @@
-"""`.venv`: made where it is missing, and entered; the torch that is there already is kept."""
+"""Create `.venv` and continue in its Python; keep a torch that is already installed."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from tools.jobs import ROOT, VENV, InstallError, say
 
 OLDEST_PYTHON = (3, 11)
 
-# How the Python that starts this tells the one in `.venv` where the user's torch is.
+# Environment variable that tells the Python in `.venv` the folder of the user's torch.
 TORCH_FOLDER_VARIABLE = "FLUIDSNET_TORCH_FOLDER"
 
 
 def torch_folder() -> Path | None:
-    """The folder that holds the torch this Python would import, found without importing it."""
+    """Return the folder that this Python would import torch from, without importing it."""
     spec = importlib.util.find_spec("torch")
     return Path(spec.origin).parent.parent if spec and spec.origin else None
 
 
 def torch_version() -> str | None:
-    """As `torch.__version__`, which, unlike the package's, always says what it was built for."""
+    """Return `torch.__version__`, which names the build; the package's version may not."""
     folder = torch_folder()
     if folder is None:
         return None
@@ -35,7 +35,7 @@ def torch_version() -> str | None:
 
 
 def require_python() -> None:
-    """Refuses a Python that is too old."""
+    """Raise `InstallError` if this Python is too old."""
     if sys.version_info < OLDEST_PYTHON:
         raise InstallError(
             f"FluidsNet needs Python {OLDEST_PYTHON[0]}.{OLDEST_PYTHON[1]} or newer and this is "
@@ -45,7 +45,7 @@ def require_python() -> None:
 
 
 def make_venv(*options: str) -> None:
-    """Makes `.venv`, or gives an existing one other options."""
+    """Create `.venv`, or change the options of an existing one."""
     require_python()
     done = subprocess.run(
         [sys.executable, "-m", "venv", *options, str(VENV)], capture_output=True, text=True
@@ -59,7 +59,7 @@ def make_venv(*options: str) -> None:
 
 
 def enter_venv() -> NoReturn:
-    """Makes `.venv` where it is missing, and goes on with the Python in it."""
+    """Create `.venv` if it is missing, and replace this process by its Python."""
     python = VENV / "bin/python"
     if not python.exists():
         say("making .venv")
@@ -74,8 +74,8 @@ def enter_venv() -> NoReturn:
         and packages.is_dir()
         and not (packages / "torch").exists()
     ):
-        # A virtual environment made from another one sees the system's packages, not the other
-        # one's; for those, the Python in `.venv` is told the folder.
+        # With --system-site-packages, `.venv` sees the system's torch, but not one that is in
+        # another virtual environment; its folder is passed on.
         shared = "include-system-site-packages = true" in (VENV / "pyvenv.cfg").read_text()
         if sys.prefix == sys.base_prefix and not shared:
             make_venv("--system-site-packages")

@@ -10,7 +10,8 @@ import torch
 import yaml
 from jsonargparse import ArgumentParser
 
-from fluidsnet.checkpoint_migration import migrate, renamed
+from fluidsnet.checkpoint_migration import migrate
+from fluidsnet.deprecated import with_current_names
 from fluidsnet.errors import UserError
 from fluidsnet.features.voxel import GridShape
 from fluidsnet.model import Model
@@ -80,7 +81,7 @@ def build(config: Path, grid_shape: GridShape) -> FluidsNet:
         raise UserError(
             f"{config} holds no `model:`; name a file such as configs/model/paper.yaml."
         ) from error
-    settings = renamed(dict(described.get("init_args") or {}))
+    settings = with_current_names(dict(described.get("init_args") or {}))
     for name in _TRAINING:
         settings.pop(name, None)
     parser = ArgumentParser(exit_on_error=False)

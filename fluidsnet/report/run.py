@@ -152,19 +152,17 @@ def flat(config: Any, name: str = "") -> dict[str, str]:
 
 def group_results(runs: Sequence[Run]) -> list[Group]:
     """Group the results of runs by their data; there is at least one group."""
-    groups: list[Group] = []
+    groups: dict[str, Group] = {}
     for results in (results for run in runs for results in run.results):
-        alike = [group for group in groups if group.members[0].key == results.key]
-        # A run may have results on several copies of a data file.
-        alike = [group for group in alike if group.of(results.run) is None]
-        if not alike:
-            alike = [Group(unique(results.label, [group.label for group in groups]), [])]
-            groups += alike
-        alike[0].members.append(results)
-    groups = groups or [Group("", [])]
-    groups[0].members += [Results(run) for run in runs if not run.results]
-    groups[0].label *= len(groups) > 1
-    return groups
+        if results.key not in groups:
+            label = unique(results.label, [group.label for group in groups.values()])
+            groups[results.key] = Group(label, [])
+        groups[results.key].members.append(results)
+    found = [*groups.values()] or [Group("", [])]
+    found[0].members += [Results(run) for run in runs if not run.results]
+    if len(found) == 1:
+        found[0].label = ""
+    return found
 
 
 def _check(folder: Path) -> None:

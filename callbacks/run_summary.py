@@ -1,0 +1,88 @@
+"""Summary of a run, printed before its first batch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from lightning import Callback, LightningModule, Trainer
+
+from fluidsnet.reporting.results import results_folder
+from fluidsnet.reporting.run_folder import run_folder
+
+
+class RunSummary(Callback):
+    """Print device, data, model, weights and the folder of the results, one line each.
+
+    .. code-block:: text
+
+        device   cpu, 2 threads
+        data     data/demo: 1,680 training samples, 240 validation samples, time step 20 ms
+        model    FluidsNet: NeighborMean, GlobalVector, VelocityTarget, Euler, OpenWalls
+        weights  23,171
+        results  runs/demo
+    """
+
+    def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
+        """Look up the folder, which all processes must do together."""
+        measures = stage in ("test", "predict")
+        self._folder = results_folder(trainer) if measures else run_folder(trainer)
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        samples = {
+            "training sample": trainer.train_dataloader,
+            "validation sample": trainer.val_dataloaders,
+        }
+        self._print(trainer, pl_module, samples)
+
+    def on_validation_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        if trainer.state.fn == "validate":
+            self._print(trainer, pl_module, {"sample": trainer.val_dataloaders})
+
+    def on_test_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        self._print(trainer, pl_module, {"sample": trainer.test_dataloaders})
+
+    def on_predict_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        self._print(trainer, pl_module, {"simulation": trainer.predict_dataloaders})
+
+    def _print(self, trainer: Trainer, module: Any, loaders: dict[str, Any]) -> None:
+        if not trainer.is_global_zero:
+            return
+        data: Any = getattr(trainer, "datamodule", None)
+        counts = [_count(len(loader.dataset), unit) for unit, loader in loaders.items() if loader]
+        facts = [*counts, f"time step {1000 * data.time_step:g} ms"]
+        lines = {
+            "device": _device(trainer),
+            "data": f"{data.root}: {', '.join(facts)}",
+            **_model(module, trainer.ckpt_path),
+            "results": str(self._folder),
+        }
+        for name, value in lines.items():
+            print(f"{name:<9}{value}", flush=True)
+
+
+def _count(number: int, unit: str) -> str:
+    return f"{number:,} {unit}{'' if number == 1 else 's'}"
+
+
+def _device(trainer: Trainer) -> str:
+    device = trainer.strategy.root_device
+    if device.type == "cuda":
+        name = torch.cuda.get_device_name(device)
+    else:
+        name = _count(torch.get_num_threads(), "thread")
+    processes = f", {trainer.world_size} processes" if trainer.world_size > 1 else ""
+    return f"{device.type}, {name}{processes}"
+
+
+def _model(module: Any, checkpoint: Any) -> dict[str, str]:
+    models = dict(module.models.items())
+    model = models.pop("model")
+    shown = ("local", "global_feature", "target", "integrator", "walls")
+    blocks = ", ".join(type(model.blocks()[name]).__name__ for name in shown)
+    weights = sum(weight.numel() for weight in model.network.parameters())
+    twins = f"; together with {', '.join(models)}" if models else ""
+    return {
+        "model": f"{type(module).__name__}: {blocks}{twins}",
+        "weights": f"{weights:,}{f' from {checkpoint}' if checkpoint else ''}",
+    }

@@ -1,0 +1,122 @@
+"""Rewriting of the command line of fit, validate, test and predict: ``--run`` and ``base:``."""
+
+from __future__ import annotations
+
+import os
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from fluidsnet.deprecated import DeprecatedNames
+from fluidsnet.errors import UserError
+from fluidsnet.models.loading import checkpoint_path
+
+
+def rewrite(arguments: list[str], names: DeprecatedNames) -> list[str]:
+    """Return the arguments that LightningCLI parses.
+
+    Args:
+        arguments: Command and its options, as typed.
+        names: Replaces deprecated names and collects them.
+
+    Raises:
+        UserError: The folder of ``--run`` or a file of ``base:`` cannot be used.
+    """
+    return names.in_arguments(with_base(with_run(arguments)))
+
+
+def with_run(arguments: list[str]) -> list[str]:
+    """Replace ``--run FOLDER`` by the config and the best checkpoint in that folder.
+
+    Results are then written to the same folder.
+
+    Raises:
+        UserError: The folder lacks a config or a checkpoint, or the command is ``fit``.
+    """
+    run, rest = _take_option(arguments, "--run")
+    if run is None:
+        return rest
+    if not run:
+        raise UserError("--run needs the folder of a run, such as runs/demo.")
+    if rest[0] == "fit":
+        raise UserError("--run names a run to test or predict with; fit takes --config.")
+    folder = Path(run)
+    config = folder / "config.yaml"
+    if not config.exists():
+        raise UserError(f"{folder} is not the folder of a run: {config} is missing.")
+    checkpoint = checkpoint_path(folder)
+    _keep_metrics(folder)
+    logger, resolved = "--trainer.logger.init_args", folder.resolve()
+    return [
+        rest[0],
+        f"--config={config}",
+        f"--ckpt_path={checkpoint}",
+        f"{logger}.save_dir={resolved.parent}",
+        f"{logger}.name={resolved.name}",
+        f"{logger}.version=",
+        *rest[1:],
+    ]
+
+
+def with_base(arguments: list[str]) -> list[str]:
+    """Insert the files listed under ``base:`` in the first config in front of it.
+
+    Only the first ``--config`` is read: an overlay that follows other configs is applied to those.
+    Paths under ``base:`` are relative to the config's folder.
+
+    Raises:
+        UserError: ``base:`` is not a list of existing files.
+    """
+    for index, argument in enumerate(arguments):
+        if argument == "--config" and index + 1 < len(arguments):
+            overlay = Path(arguments[index + 1])
+        elif argument.startswith("--config="):
+            overlay = Path(argument.removeprefix("--config="))
+        else:
+            continue
+        base = [f"--config={path}" for path in _base(overlay)]
+        return [*arguments[:index], *base, *arguments[index:]]
+    return arguments
+
+
+def _take_option(arguments: list[str], option: str) -> tuple[str | None, list[str]]:
+    """Return an option's last value, empty if it is missing, and the other arguments."""
+    value, rest = None, []
+    remaining = iter(arguments)
+    for argument in remaining:
+        if argument == option:
+            value = next(remaining, "")
+        elif argument.startswith(f"{option}="):
+            value = argument.partition("=")[2]
+        else:
+            rest.append(argument)
+    return value, rest
+
+
+def _keep_metrics(folder: Path) -> None:
+    """Rename metrics.csv, which a CSVLogger would delete."""
+    metrics = folder / "metrics.csv"
+    # Processes that Lightning starts for DDP run this again.
+    if metrics.exists() and os.environ.get("LOCAL_RANK", "0") == "0":
+        numbered = (folder / f"metrics_{number}.csv" for number in count(1))
+        metrics.rename(next(path for path in numbered if not path.exists()))
+
+
+def _base(overlay: Path) -> list[Path]:
+    try:
+        values: Any = yaml.safe_load(overlay.read_text())
+    except (OSError, UnicodeError, yaml.YAMLError):
+        # The parser reads the file again and names the line of the error.
+        return []
+    names = values.get("base") if isinstance(values, dict) else None
+    if names is None:
+        return []
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise UserError(f"{overlay}: base is {names!r}; it must be a list of files.")
+    paths = [overlay.parent / name for name in names]
+    for path in paths:
+        if not path.is_file():
+            raise UserError(f"{overlay}: its base {path} is missing.")
+    return paths
