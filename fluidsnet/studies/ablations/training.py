@@ -45,13 +45,9 @@ class Training:
     ) -> None:
         self.folder = folder
         self._arguments = [*(f"--config={config}" for config in configs), *arguments]
-        self._identity = {
-            "arguments": self._arguments,
-            # These are all: a `base` counts in the first config only, and trainer.yaml has none.
-            "configs": {
-                str(config): hashlib.sha256(config.read_bytes()).hexdigest() for config in configs
-            },
-        }
+        # These are all: a `base` counts in the first config only, and trainer.yaml has none.
+        hashes = {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in configs}
+        self._identity = {"arguments": self._arguments, "configs": hashes}
         # Without both limits concurrent trainings wait for each other's cores.
         limits = dict.fromkeys(("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), str(threads))
         self._environment = {**os.environ, **limits}
@@ -88,13 +84,11 @@ class Training:
             self._write_note()
             log = self.folder / f"{stage}.log"
             status = self._execute(stage, lock, log)
-            if status < 0:
-                raise UserError(
-                    f"{stage} of {self.folder} was killed by signal {-status}, possibly for lack "
-                    "of memory."
-                )
             if status:
-                raise UserError(f"{stage} of {self.folder} failed: {_last_message(log)} ({log})")
+                reason = f"failed: {_last_message(log)} ({log})"
+                if status < 0:
+                    reason = f"was killed by signal {-status}, possibly for lack of memory."
+                raise UserError(f"{stage} of {self.folder} {reason}")
             if stage == "fit":
                 self._check_checkpoint()
             self._done.append(stage)
@@ -117,26 +111,21 @@ class Training:
         return self._process.wait()
 
     def _command(self, stage: str) -> list[str]:
+        quiet = "--trainer.enable_progress_bar=false"
         if stage == "test":
-            return ["test", f"--run={self.folder}", "--trainer.enable_progress_bar=false"]
-        logger = "--trainer.logger.init_args"
+            return ["test", f"--run={self.folder}", quiet]
+        logger = {"save_dir": self.folder.parent, "name": self.folder.name, "version": ""}
+        options = [f"--trainer.logger.init_args.{name}={value}" for name, value in logger.items()]
         resume = [f"--ckpt_path={self._checkpoint}"] if self._checkpoint.exists() else []
-        return [
-            "fit",
-            *self._arguments,
-            f"{logger}.save_dir={self.folder.parent}",
-            f"{logger}.name={self.folder.name}",
-            f"{logger}.version=",
-            "--trainer.enable_progress_bar=false",
-            *resume,
-        ]
+        return ["fit", *self._arguments, *options, quiet, *resume]
 
     def _check_checkpoint(self) -> None:
         """Check that the weights of the last step were saved, since these are tested."""
+        start = f"fit of {self.folder} saved"
         remedy = "weights are saved at validations, so"
         if not self._checkpoint.exists():
             raise UserError(
-                f"fit of {self.folder} saved no weights: {remedy} it must train for at least "
+                f"{start} no weights: {remedy} it must train for at least "
                 "--trainer.val_check_interval steps."
             )
         config = yaml.safe_load((self.folder / "config.yaml").read_text())
@@ -146,8 +135,8 @@ class Training:
         saved = torch.load(self._checkpoint, mmap=True, weights_only=False)["global_step"]
         if saved < steps:
             raise UserError(
-                f"fit of {self.folder} saved the weights of step {saved} of {steps}: {remedy} "
-                "--trainer.max_steps must be a multiple of --trainer.val_check_interval."
+                f"{start} the weights of step {saved} of {steps}: {remedy} --trainer.max_steps "
+                "must be a multiple of --trainer.val_check_interval."
             )
 
     @contextmanager
