@@ -55,12 +55,11 @@ class SceneRuns:
     seeds: list[int]
 
 
-def _default_runs() -> list[SceneRuns]:
-    return [
-        SceneRuns("dam_break_small", [1, 8], [0, 1, 2]),
-        SceneRuns("drop_pool_small", [1, 8], [0]),
-        SceneRuns("cuboid_basin_small", [1, 8], [0]),
-    ]
+_DEFAULT_RUNS = (
+    SceneRuns("dam_break_small", [1, 8], [0, 1, 2]),
+    SceneRuns("drop_pool_small", [1, 8], [0]),
+    SceneRuns("cuboid_basin_small", [1, 8], [0]),
+)
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ class AblationsOptions:
         output: folder for the runs, and for ablations.md, its CSV files and its figures.
     """
 
-    runs: list[SceneRuns] = field(default_factory=_default_runs)
+    runs: list[SceneRuns] = field(default_factory=lambda: [*_DEFAULT_RUNS])
     fit: list[str] = field(default_factory=list)
     configs: str = "configs"
     jobs: int = 2

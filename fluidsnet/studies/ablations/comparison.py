@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -97,21 +98,18 @@ def compare(groups: Sequence[Group]) -> pd.DataFrame:
     A ratio above 1 means that the model is better.
     """
     rows = []
-    for twin in (ACCELERATION, WITHOUT):
-        for group in groups:
-            figures = {"velocity_mse, one step": (MSE, ONE_STEP, 1)}
-            for steps, time in group.moments(REST)[-1:]:
-                for metric in _ROLLOUT:
-                    name = f"{metric.partition(' ')[0]}, {time:.4g} s"
-                    figures[name] = (metric, REST, steps)
-            for name, place in figures.items():
-                ratio = paired(group.values(twin, *place), group.values(MODEL, *place))
-                if ratio.each:
-                    each = " ".join(map(repr, ratio.each))
-                    rows.append((
-                        twin, group.scene, group.stride, group.step, name, len(ratio.each),
-                        ratio.mean, *ratio.interval, each, _DECISIONS[ratio.side()],
-                    ))  # fmt: skip
+    for twin, group in product((ACCELERATION, WITHOUT), groups):
+        figures = {"velocity_mse, one step": (MSE, ONE_STEP, 1)}
+        for (steps, time), metric in product(group.moments(REST)[-1:], _ROLLOUT):
+            figures[f"{metric.partition(' ')[0]}, {time:.4g} s"] = (metric, REST, steps)
+        for figure, place in figures.items():
+            ratio = paired(group.values(twin, *place), group.values(MODEL, *place))
+            if ratio.each:
+                each = " ".join(map(repr, ratio.each))
+                rows.append((
+                    twin, group.scene, group.stride, group.step, figure, len(ratio.each),
+                    ratio.mean, *ratio.interval, each, _DECISIONS[ratio.side()],
+                ))  # fmt: skip
     columns = [
         "twin", "scene", "stride", "step", "figure", "seeds", "twin / model", "from", "to",
         "each seed", "decided",

@@ -16,12 +16,7 @@ from matplotlib.figure import Figure
 from fluidsnet.reporting.rollout_curves import COLORS, TWIN_COLORS
 from fluidsnet.studies.ablations.results import ACCELERATION, ENERGY, MODEL, MOTION, WITHOUT, Group
 
-_COLORS = {
-    MODEL: COLORS["model"],
-    ACCELERATION: TWIN_COLORS[0],
-    WITHOUT: TWIN_COLORS[1],
-    "truth": COLORS["truth"],
-}
+_COLORS = {**COLORS, ACCELERATION: TWIN_COLORS[0], WITHOUT: TWIN_COLORS[1]}
 _TARGET = {MODEL: "velocity target", ACCELERATION: "acceleration target"}
 _GLOBAL = {MODEL: "with global feature", WITHOUT: "without global feature"}
 #: Upper limit of the energy axis, in units of the truth's greatest energy.
@@ -88,8 +83,7 @@ def _draw_training(axes: Axes, group: Group, labels: Mapping[str, str]) -> list[
         # Lightning counts the first step as 0.
         curves.index += 1
         _plot(axes, curves, name, label)
-    trivial = trivial_mse(group)
-    if trivial is not None:
+    if (trivial := trivial_mse(group)) is not None:
         axes.axhline(
             trivial, label="better trivial predictor", color="#555555", ls="--", linewidth=1.2
         )

@@ -49,16 +49,10 @@ def _write_csv_files(folder: Path, groups: Sequence[Group], comparisons: pd.Data
     keys = [*RUN, "table", "predictor", "steps", "time"]
     values = rows[rows["predictor"].isin(tables.ROWS)].set_index([*keys, "metric"])["value"]
     wide = values.unstack("metric", sort=False).reset_index()
-    rollouts = wide[wide["table"] != ONE_STEP].replace({"table": STARTS})
-    rollouts = rollouts.reindex(columns=[*keys, *tables.ROLLOUT_METRICS])
-    files = {
-        "ablations.csv": comparisons.drop(columns="step"),
-        "ablations_one_step.csv": wide[wide["table"] == ONE_STEP].reindex(
-            columns=[*RUN, "predictor", *tables.ONE_STEP_METRICS]
-        ),
-        "ablations_rollouts.csv": rollouts.rename(
-            columns={"table": "start", "time": "time s", **tables.RENAMED}
-        ),
-    }
-    for name, table in files.items():
-        table.to_csv(folder / name, index=False)
+    one_step, rollouts = wide[wide["table"] == ONE_STEP], wide[wide["table"] != ONE_STEP]
+    one_step = one_step.reindex(columns=[*RUN, "predictor", *tables.ONE_STEP_METRICS])
+    rollouts = rollouts.reindex(columns=[*keys, *tables.ROLLOUT_METRICS]).replace({"table": STARTS})
+    rollouts = rollouts.rename(columns={"table": "start", "time": "time s", **tables.RENAMED})
+    comparisons.drop(columns="step").to_csv(folder / "ablations.csv", index=False)
+    one_step.to_csv(folder / "ablations_one_step.csv", index=False)
+    rollouts.to_csv(folder / "ablations_rollouts.csv", index=False)

@@ -125,11 +125,7 @@ class Group:
 
 
 def read_groups(runs: Sequence[TrainedRun]) -> list[Group]:
-    """Read the results of runs; group them by scene and stride, in order of seeds.
-
-    Raises:
-        UserError: A folder is not the folder of a run.
-    """
+    """Read the results of runs; group them by scene and stride, in order of seeds."""
     groups = []
     for (scene, stride), members in groupby(sorted(runs), key=lambda run: (run.scene, run.stride)):
         problems: list[str] = []

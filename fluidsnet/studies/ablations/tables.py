@@ -113,30 +113,26 @@ def _spreads(group: Group, name: str, metrics: list[str]) -> pd.DataFrame:
         lambda values: spread(values, len(group.seeds))
     )
     index = pd.MultiIndex.from_product([[*dict(group.moments(name))], [*ROWS]])
-    table = cells.unstack("metric").reindex(index=index, columns=metrics)
-    return table.dropna(how="all").fillna(NONE)
+    table = cells.unstack("metric").reindex(index=index, columns=metrics).dropna(how="all")
+    return table.fillna(NONE).rename_axis(index=["steps", "rollout"]).reset_index()
 
 
 def one_step_table(group: Group) -> str:
     """Return the metrics of each predictor one step ahead from true states."""
-    table = _spreads(group, ONE_STEP, ONE_STEP_METRICS)
-    table.insert(0, "one step ahead", [ROWS[name] for _, name in table.index])
-    return _markdown(table, "No test was run.")
+    table = _spreads(group, ONE_STEP, ONE_STEP_METRICS).drop(columns="steps")
+    table = table.replace({"rollout": ROWS})
+    return _markdown(table.rename(columns={"rollout": "one step ahead"}), "No test was run.")
 
 
 def rollout_table(group: Group, start: str) -> str:
     """Return the metrics of each predictor's rollouts at the moments of a table."""
     table = _spreads(group, start, ROLLOUT_METRICS)
-    times, energies = dict(group.moments(start)), table[ENERGY].to_dict()
-    truths = [energies.get((steps, "truth"), NONE) for steps, _ in table.index]
-    table.insert(ROLLOUT_METRICS.index(ENERGY) + 1, "truth's J/kg", truths)
-    for name, cells in {
-        "rollout": [ROWS[name] for _, name in table.index],
-        "steps": [steps for steps, _ in table.index],
-        "time s": [times[steps] for steps, _ in table.index],
-    }.items():
-        table.insert(0, name, cells)
-    return _markdown(table.rename(columns=RENAMED), "No rollouts were measured.")
+    truth = table[table["rollout"] == "truth"].set_index("steps")[ENERGY]
+    place = [*table.columns].index(ENERGY) + 1
+    table.insert(place, "truth's J/kg", table["steps"].map(truth).fillna(NONE))
+    table.insert(0, "time s", table["steps"].map(dict(group.moments(start))))
+    table = table.rename(columns=RENAMED).replace({"rollout": ROWS})
+    return _markdown(table, "No rollouts were measured.")
 
 
 def different_times(groups: Sequence[Group], start: str) -> dict[tuple[str, str], pd.Series]:
@@ -156,18 +152,14 @@ def different_times(groups: Sequence[Group], start: str) -> dict[tuple[str, str]
 
 def comparison_table(comparisons: pd.DataFrame) -> str:
     """Return the rows of `compare` as Markdown."""
-    each = [
-        ", ".join(digits(float(ratio)) for ratio in ratios.split())
-        for ratios in comparisons["each seed"]
+    table = comparisons.drop(columns="stride").replace({"twin": LABELS})
+    for name in ("twin / model", "from", "to"):
+        table[name] = table[name].map(digits)
+    table["each seed"] = [
+        ", ".join(map(digits, map(float, it.split()))) for it in table["each seed"]
     ]
-    intervals = comparisons[["from", "to"]].map(digits).replace("nan", NONE)
-    means = comparisons["twin / model"].map(digits)
-    table = comparisons.drop(columns="stride").assign(
-        **intervals,
-        **{"twin": comparisons["twin"].map(LABELS), "twin / model": means},
-        **{"each seed": each},
-    )
-    return _markdown(table.rename(columns={"from": "95 % from"}), "There is nothing to compare.")
+    table = table.replace({"from": "nan", "to": "nan"}, NONE).rename(columns={"from": "95 % from"})
+    return _markdown(table, "There is nothing to compare.")
 
 
 def training_table(groups: Sequence[Group]) -> str:
@@ -192,10 +184,11 @@ def training_table(groups: Sequence[Group]) -> str:
 def permutation_table(groups: Sequence[Group]) -> str:
     """Return how much the error grows with the global feature of another frame."""
     metric = "velocity_mse / own"
-    rows = []
-    for group in groups:
-        values = group.values("another frame", metric, PERMUTATION)
-        rows.append((group.scene, group.step, len(values), spread(values, len(group.seeds))))
+    rows = [
+        (group.scene, group.step, len(values), spread(values, len(group.seeds)))
+        for group in groups
+        for values in [group.values("another frame", metric, PERMUTATION)]
+    ]
     return _markdown(pd.DataFrame(rows, columns=["scene", "step", "seeds", metric]))
 
 

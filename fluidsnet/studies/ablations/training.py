@@ -8,8 +8,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import final
 
@@ -72,18 +71,24 @@ class Training:
         """Run a stage unless it is finished.
 
         Raises:
-            UserError: The stage failed, with its last message; it was stopped; or another process
-                uses the folder, or ran another training there.
+            UserError: The stage failed or was stopped, or another process uses the folder.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
-        with self._lock() as lock:
+        with (self.folder / _LOCK).open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise UserError(
+                    f"{self.folder} is in use by another process that trains or tests; wait for "
+                    "it to end, or end it."
+                ) from error
             # Another process may have finished the stage before the lock was taken.
             self._done = self._read_note()
             if stage in self._done:
                 return
             self._write_note()
             log = self.folder / f"{stage}.log"
-            status = self._execute(stage, lock, log)
+            status = self._execute(stage, lock.fileno(), log)
             if status:
                 reason = f"failed: {_last_message(log)} ({log})"
                 if status < 0:
@@ -121,13 +126,10 @@ class Training:
 
     def _check_checkpoint(self) -> None:
         """Check that the weights of the last step were saved, since these are tested."""
-        start = f"fit of {self.folder} saved"
-        remedy = "weights are saved at validations, so"
+        start, cause = f"fit of {self.folder} saved", "weights are saved at validations, so"
+        interval = "--trainer.val_check_interval"
         if not self._checkpoint.exists():
-            raise UserError(
-                f"{start} no weights: {remedy} it must train for at least "
-                "--trainer.val_check_interval steps."
-            )
+            raise UserError(f"{start} no weights: {cause} train for {interval} steps or more.")
         config = yaml.safe_load((self.folder / "config.yaml").read_text())
         # -1 where --trainer.max_epochs ends the training.
         steps: int = config["trainer"]["max_steps"]
@@ -135,33 +137,19 @@ class Training:
         saved = torch.load(self._checkpoint, mmap=True, weights_only=False)["global_step"]
         if saved < steps:
             raise UserError(
-                f"{start} the weights of step {saved} of {steps}: {remedy} --trainer.max_steps "
-                "must be a multiple of --trainer.val_check_interval."
+                f"{start} the weights of step {saved} of {steps}: {cause} --trainer.max_steps must "
+                f"be a multiple of {interval}."
             )
-
-    @contextmanager
-    def _lock(self) -> Iterator[int]:
-        """Lock the folder; yield the descriptor of the lock file."""
-        with (self.folder / _LOCK).open("w") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError as error:
-                raise UserError(
-                    f"{self.folder} is in use by another process that trains or tests; wait for "
-                    "it to end, or end it."
-                ) from error
-            yield lock.fileno()
 
     def _read_note(self) -> list[str]:
         """Return the finished stages; none where nothing was trained."""
+        trained = self._checkpoint.exists()
         remedy = f"name another --output, or delete {self.folder}."
         if not self._note.exists():
-            if self._checkpoint.exists():
-                raise UserError(
-                    f"{self.folder} holds weights but no {NOTE}, so their training is unknown; "
-                    f"{remedy}"
-                )
-            return []
+            if not trained:
+                return []
+            problem = f"holds weights but no {NOTE}, so their training is unknown"
+            raise UserError(f"{self.folder} {problem}; {remedy}")
         try:
             note = json.loads(self._note.read_text())
         except (OSError, ValueError):
@@ -169,7 +157,7 @@ class Training:
         if not isinstance(note, dict) or not isinstance(note.get("done"), list):
             raise UserError(f"{self._note} is damaged; {remedy}")
         if any(note.get(name) != value for name, value in self._identity.items()):
-            if not note["done"] and not self._checkpoint.exists():
+            if not note["done"] and not trained:
                 # That training saved nothing, for example because of a mistyped option.
                 return []
             raise UserError(f"{self.folder} was trained with other options or configs; {remedy}")
