@@ -19,9 +19,9 @@ from scipy.stats import ttest_1samp
 from fluidsnet.errors import UserError
 from fluidsnet.main import main
 from fluidsnet.reporting.results import results_folders
-from fluidsnet.studies.ablations.comparison import Ratio, digits
-from fluidsnet.studies.ablations.figures import energy_figure, target_figure, trivial_mse
-from fluidsnet.studies.ablations.report import energy_verdict, write_report
+from fluidsnet.studies.ablations.comparison import Ratio, digits, energy_verdict, paired
+from fluidsnet.studies.ablations.figures import draw_figures, trivial_mse
+from fluidsnet.studies.ablations.report import write_report
 from fluidsnet.studies.ablations.results import TrainedRun, read_groups
 from fluidsnet.studies.ablations.tables import (
     describe_change,
@@ -286,7 +286,8 @@ def test_three_digits_and_no_exponent(value: float, text: str) -> None:
 def test_ratios_of_values_that_are_not_finite() -> None:
     pairs = [(1.0, 2.0), (INF, 2.0), (INF, INF), (1.0, INF), (1.0, 0.0), (0.0, 0.0), (0.0, 1.0)]
     expected = (0.5, INF, NAN, 0.0, INF, NAN, 0.0)
-    assert Ratio.of(pairs).each == pytest.approx(expected, nan_ok=True)
+    first, second = (pd.Series(values) for values in zip(*pairs, strict=True))
+    assert paired(first, second).each == pytest.approx(expected, nan_ok=True)
 
 
 def around(value: float) -> Ratio:
@@ -383,8 +384,8 @@ def test_length_of_training(runs: list[TrainedRun], tmp_path: Path) -> None:
     # The schedule of `paper.yaml` multiplies the rate by 0.05 halfway.
     assert cells[2:5] == ["8", "0.003 to 0.00015", "8"]
     ends = []
-    for run in read_groups(runs)[0].runs:
-        *_, before, last = run.curve("velocity_mse", "model")
+    for curve in read_groups(runs)[0].curves("velocity_mse", "model"):
+        *_, before, last = curve
         ends.append(last / before - 1)
     assert cells[5] == describe_change(max(ends, key=abs))
 
@@ -405,6 +406,7 @@ def test_length_of_training(runs: list[TrainedRun], tmp_path: Path) -> None:
         ([1.0, NAN], 3, "nan in 1 of 2 seeds (2 of 3 seeds)"),
         ([-INF, -1.0], 2, "-inf in 1 of 2 seeds"),
         ([INF], 1, "inf"),
+        ([NAN], 1, "nan"),
     ],
 )
 def test_spread(values: list[float], seeds: int, text: str) -> None:
@@ -423,10 +425,10 @@ def test_a_rollout_that_blew_up_is_infinite(copy: Copy, tmp_path: Path) -> None:
     found = row(text, "without global feature", "dam", "20 ms a step", "position_error, 0.8 s")
     assert found[5] == "inf" and found[8].endswith(", inf") and found[9] == "not decided"
     assert "the ratio of the two is inf (not finite in 1 of 2 seeds)." in text
-    (axes,) = energy_figure(read_groups(made)).axes
+    (axes,) = draw_figures(read_groups(made))["global_feature_energy"].axes
     assert "without global feature: not finite in the end" in axes.get_title()
     change(path, "kinetic_energy J/kg", 1e6, predictor="no global feature", steps="30")
-    (axes,) = energy_figure(read_groups(made)).axes
+    (axes,) = draw_figures(read_groups(made))["global_feature_energy"].axes
     assert "without global feature: up to 1e+06 J/kg" in axes.get_title()
     truth = max(
         rolled(made[0], "truth", steps, "kinetic_energy J/kg", "_in_motion")
@@ -522,7 +524,7 @@ def test_figures(runs: list[TrainedRun], copy: Copy, tmp_path: Path) -> None:
             assert 600 <= picture.width <= 1600
         assert 10_000 < path.stat().st_size < 1e6
     groups = read_groups([*runs, other])
-    dam, wide, pool, empty = target_figure(groups).axes
+    dam, wide, pool, empty = draw_figures(groups)["target"].axes
     assert [axes.get_title() for axes in (dam, wide, pool, empty)] == [
         "dam, 20 ms a step (stride 1), 2 seeds",
         "dam, 40 ms a step (stride 2), 1 seed",
@@ -532,7 +534,7 @@ def test_figures(runs: list[TrainedRun], copy: Copy, tmp_path: Path) -> None:
     assert dam.get_yscale() == "log" and not empty.axison
     # Two seeds and their mean for each model, and the trivial predictor.
     assert (len(dam.lines), len(wide.lines)) == (7, 3)
-    one, two = (dict(run.curve("velocity_mse", "model")) for run in groups[0].runs)
+    one, two = map(dict, groups[0].curves("velocity_mse", "model"))
     assert dam.lines[2].get_ydata() == pytest.approx([(one[step] + two[step]) / 2 for step in one])
     assert list(dam.lines[2].get_xdata()) == list(range(1, 9))
 
@@ -540,17 +542,19 @@ def test_figures(runs: list[TrainedRun], copy: Copy, tmp_path: Path) -> None:
 def test_the_trivial_predictor_is_the_same_for_all_models(runs: list[TrainedRun]) -> None:
     group = read_groups(runs)[0]
     trivial = trivial_mse(group)
-    for run in group.runs:
-        for name in ("acceleration", "no global feature"):
-            skills = run.curve("skill", name)
-            for step, error in run.curve("velocity_mse", name).items():
+    for name in ("acceleration", "no global feature"):
+        curves = zip(group.curves("velocity_mse", name), group.curves("skill", name), strict=True)
+        for errors, skills in curves:
+            assert len(errors) == 8
+            for step, error in errors.items():
                 assert error / (1 - skills[step]) == pytest.approx(trivial, rel=1e-4)
 
 
 def test_cost_is_the_median_over_runs(runs: list[TrainedRun], tmp_path: Path) -> None:
     ratios = []
-    for run in (run for group in read_groups(runs) for run in group.runs):
-        base, twin = (run.curve("cost/step_seconds", name) for name in ("model", "acceleration"))
-        ratios.append(twin.iloc[-1] / base.iloc[-1])
+    for group in read_groups(runs):
+        names = ("model", "acceleration")
+        curves = (group.curves("cost/step_seconds", name) for name in names)
+        ratios += [twin.iloc[-1] / base.iloc[-1] for base, twin in zip(*curves, strict=True)]
     expected = f"{digits(sorted(ratios)[1])} times as long with the acceleration target (3 runs)"
     assert expected in write_report(tmp_path, runs, 3)

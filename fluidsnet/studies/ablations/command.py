@@ -7,6 +7,7 @@ import signal
 import sys
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -54,12 +55,11 @@ class SceneRuns:
     seeds: list[int]
 
 
-def _default_runs() -> list[SceneRuns]:
-    return [
-        SceneRuns("dam_break_small", [1, 8], [0, 1, 2]),
-        SceneRuns("drop_pool_small", [1, 8], [0]),
-        SceneRuns("cuboid_basin_small", [1, 8], [0]),
-    ]
+_DEFAULT_RUNS = (
+    SceneRuns("dam_break_small", [1, 8], [0, 1, 2]),
+    SceneRuns("drop_pool_small", [1, 8], [0]),
+    SceneRuns("cuboid_basin_small", [1, 8], [0]),
+)
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class AblationsOptions:
         output: folder for the runs, and for ablations.md, its CSV files and its figures.
     """
 
-    runs: list[SceneRuns] = field(default_factory=_default_runs)
+    runs: list[SceneRuns] = field(default_factory=lambda: [*_DEFAULT_RUNS])
     fit: list[str] = field(default_factory=list)
     configs: str = "configs"
     jobs: int = 2
@@ -136,13 +136,12 @@ def _trainings(options: AblationsOptions) -> dict[TrainedRun, Training]:
     for runs in options.runs:
         names = (*_BEFORE_DATA, f"data/{runs.scene}.yaml", *_AFTER_DATA)
         files = [configs / name for name in names]
-        for seed in runs.seeds:
-            for stride in runs.strides:
-                folder = Path(options.output, runs.scene, f"stride_{stride}", f"seed_{seed}")
-                # Last, since the folder is named after them.
-                settings = [f"--seed_everything={seed}", f"--data.init_args.stride={stride}"]
-                training = Training(folder, files, [*options.fit, *settings], threads)
-                trainings[TrainedRun(runs.scene, stride, seed, folder)] = training
+        for seed, stride in product(runs.seeds, runs.strides):
+            folder = Path(options.output, runs.scene, f"stride_{stride}", f"seed_{seed}")
+            # Last, since the folder is named after them.
+            settings = [f"--seed_everything={seed}", f"--data.init_args.stride={stride}"]
+            training = Training(folder, files, [*options.fit, *settings], threads)
+            trainings[TrainedRun(runs.scene, stride, seed, folder)] = training
     return trainings
 
 

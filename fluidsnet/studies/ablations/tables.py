@@ -1,45 +1,43 @@
-"""Tables of the ablation study, in Markdown and CSV."""
+"""Tables of the ablation study."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from pathlib import Path
-from statistics import fmean, median, stdev
+from statistics import fmean, stdev
 
 import pandas as pd
 
+from fluidsnet.report.events import RATE
 from fluidsnet.report.tables import NONE, near, shown
-from fluidsnet.reporting.table import Cell, markdown
-from fluidsnet.studies.ablations.comparison import Comparison, digits
+from fluidsnet.reporting.table import markdown
+from fluidsnet.studies.ablations.comparison import digits
 from fluidsnet.studies.ablations.results import (
-    ACCELERATION,
+    COST,
     ENERGY,
     LABELS,
     MODEL,
+    MSE,
     ONE_STEP,
     PERMUTATION,
-    STARTS,
-    WITHOUT,
+    RUN,
     Group,
 )
 
 #: Relative change of a validation error below which a curve is flat.
 FLAT = 0.05
-_ONE_STEP_METRICS = ("skill", "velocity_mse m²/s²", "position_error_1 mm")
-#: Columns of the runs' tables of rollouts, and their names in the study's tables.
-_ROLLOUT_METRICS = {
-    "position_error mm": "position_error mm",
-    "chamfer mm": "chamfer mm",
-    ENERGY: ENERGY,
-    "kinetic_energy %": "kinetic_energy error %",
-    "density_error %": "density_error %",
-    "escaped %": "escaped %",
-    "non-finite %": "non-finite %",
-}
+#: Metrics of the study's tables.
+ONE_STEP_METRICS = ["skill", MSE, "position_error_1 mm"]
+ROLLOUT_METRICS = [
+    "position_error mm", "chamfer mm", ENERGY, "kinetic_energy %", "density_error %", "escaped %",
+    "non-finite %",
+]  # fmt: skip
 #: Labels of the rows by predictor.
-_ONE_STEP_ROWS = {**LABELS, **{name: name for name in ("constant velocity", "ballistic")}}
-_ROLLOUT_ROWS = {**_ONE_STEP_ROWS, **{name: name for name in ("integrator floor", "truth")}}
+ROWS = LABELS | {
+    name: name for name in ("constant velocity", "ballistic", "integrator floor", "truth")
+}
+#: Columns of the runs' tables that have another name in the study's tables.
+RENAMED = {"kinetic_energy %": "kinetic_energy error %"}
 
 
 def spread(values: Iterable[float], seeds: int) -> str:
@@ -49,7 +47,7 @@ def spread(values: Iterable[float], seeds: int) -> str:
         values: One per seed that has one.
         seeds: Number of seeds; named in the text where some have no value.
     """
-    values = list(values)
+    values = [*values]
     if not values:
         return NONE
     count = "" if len(values) == seeds else f" ({len(values)} of {seeds} seeds)"
@@ -58,7 +56,7 @@ def spread(values: Iterable[float], seeds: int) -> str:
         return f"{infinite[0]:g} in {len(infinite)} of {len(values)} seeds{count}"
     mean = fmean(values)
     # Predictors without weights give equal values up to rounding.
-    if all(near(value, values[0]) for value in values):
+    if len(values) == 1 or all(near(value, values[0]) for value in values):
         return f"{shown(mean)}{count}"
     # Both to the second digit of the deviation.
     deviation = stdev(values)
@@ -67,75 +65,6 @@ def spread(values: Iterable[float], seeds: int) -> str:
         return f"{mean:.4g} ± {deviation:.2g}{count}"
     mean, deviation = round(mean, place), round(deviation, place)
     return f"{mean:,.{max(place, 0)}f} ± {deviation:,.{max(place, 0)}f}{count}"
-
-
-def one_step_table(group: Group) -> str:
-    """Return the metrics of each predictor one step ahead from true states."""
-    rows: list[list[Cell]] = []
-    for name, label in _ONE_STEP_ROWS.items():
-        values = [group.values(name, metric) for metric in _ONE_STEP_METRICS]
-        if any(values):
-            rows.append([label, *(spread(cell.values(), len(group.runs)) for cell in values)])
-    return markdown(("one step ahead", *_ONE_STEP_METRICS), rows) if rows else "No test was run.\n"
-
-
-def rollout_table(group: Group, start: str) -> str:
-    """Return the metrics of each predictor's rollouts at the group's moments.
-
-    Args:
-        group: The runs.
-        start: Table of the rollouts.
-    """
-    header = ["time s", "steps", "rollout", *_ROLLOUT_METRICS.values()]
-    place = header.index(ENERGY) + 1
-    header.insert(place, "truth's J/kg")
-    rows: list[list[Cell]] = []
-    for steps, time in group.moments(start):
-        truth = group.values("truth", ENERGY, start, steps)
-        for name, label in _ROLLOUT_ROWS.items():
-            values = [group.values(name, metric, start, steps) for metric in _ROLLOUT_METRICS]
-            if any(values):
-                values.insert(place - 3, truth)
-                cells = [spread(cell.values(), len(group.runs)) for cell in values]
-                rows.append([time, steps, label, *cells])
-    return markdown(header, rows) if rows else "No rollouts were measured.\n"
-
-
-def comparison_table(comparisons: Sequence[Comparison]) -> str:
-    """Return the comparisons, one per row."""
-    header = (
-        "twin", "scene", "step", "figure", "seeds", "twin / model", "95 % from", "to",
-        "each seed", "decided",
-    )  # fmt: skip
-    rows: list[list[Cell]] = []
-    for comparison in comparisons:
-        group, ratio = comparison.group, comparison.ratio
-        place = (LABELS[comparison.twin], group.scene, group.step, comparison.metric)
-        interval = map(digits, ratio.interval) if ratio.interval else (NONE, NONE)
-        each = ", ".join(map(digits, ratio.each))
-        numbers = (len(ratio.each), digits(ratio.mean), *interval, each)
-        rows.append([*place, *numbers, comparison.decision])
-    return markdown(header, rows) if rows else "There is nothing to compare.\n"
-
-
-def training_table(groups: Sequence[Group]) -> str:
-    """Return each group's training length, and how its validation errors end."""
-    rows: list[list[Cell]] = []
-    for group in groups:
-        steps = min(run.training_steps for run in group.runs)
-        validations = min(len(run.curve("velocity_mse", MODEL)) for run in group.runs)
-        rates = dict.fromkeys(run.learning_rates for run in group.runs if run.learning_rates)
-        rates_text = ", ".join(f"{first:.2g} to {last:.2g}" for first, last in rates) or NONE
-        ends = []
-        for name in LABELS:
-            changes = [
-                final_change(run.curve("velocity_mse", name), run.training_steps)
-                for run in group.runs
-            ]
-            ends.append(describe_change(worst_change(changes)))
-        rows.append([group.scene, group.step, steps, rates_text, validations, *ends])
-    header = ("scene", "step", "training steps", "learning rate", "validations")
-    return markdown((*header, *LABELS.values()), rows)
 
 
 def final_change(curve: pd.Series[float], steps: int) -> float:
@@ -171,72 +100,101 @@ def worst_change(changes: Iterable[float]) -> float:
     return max(changes, key=lambda change: (math.isinf(change), math.isnan(change), abs(change)))
 
 
+def _markdown(table: pd.DataFrame, otherwise: str = "") -> str:
+    """Return a table as Markdown, or a sentence where it has no rows."""
+    rows = table.to_numpy(dtype=object).tolist()
+    return markdown([*table.columns], rows) if rows else f"{otherwise}\n"
+
+
+def _spreads(group: Group, name: str, metrics: list[str]) -> pd.DataFrame:
+    """Return a table's metrics over the seeds as text, with a row per moment and predictor."""
+    rows = group.at_moments(name)
+    cells = rows.groupby(["steps", "predictor", "metric"])["value"].agg(
+        lambda values: spread(values, len(group.seeds))
+    )
+    index = pd.MultiIndex.from_product([[*dict(group.moments(name))], [*ROWS]])
+    table = cells.unstack("metric").reindex(index=index, columns=metrics).dropna(how="all")
+    return table.fillna(NONE).rename_axis(index=["steps", "rollout"]).reset_index()
+
+
+def one_step_table(group: Group) -> str:
+    """Return the metrics of each predictor one step ahead from true states."""
+    table = _spreads(group, ONE_STEP, ONE_STEP_METRICS).drop(columns="steps")
+    table = table.replace({"rollout": ROWS})
+    return _markdown(table.rename(columns={"rollout": "one step ahead"}), "No test was run.")
+
+
+def rollout_table(group: Group, start: str) -> str:
+    """Return the metrics of each predictor's rollouts at the moments of a table."""
+    table = _spreads(group, start, ROLLOUT_METRICS)
+    truth = table[table["rollout"] == "truth"].set_index("steps")[ENERGY]
+    place = [*table.columns].index(ENERGY) + 1
+    table.insert(place, "truth's J/kg", table["steps"].map(truth).fillna(NONE))
+    table.insert(0, "time s", table["steps"].map(dict(group.moments(start))))
+    table = table.rename(columns=RENAMED).replace({"rollout": ROWS})
+    return _markdown(table, "No rollouts were measured.")
+
+
+def different_times(groups: Sequence[Group], start: str) -> dict[tuple[str, str], pd.Series]:
+    """Return times in s by stride that differ, for each scene and its first and last rows."""
+    rows = [
+        (group.scene, name, group.stride, time)
+        for group in groups
+        # A single moment is the last, and the first too.
+        if len(moments := group.moments(start)) == 2
+        for name, (_, time) in zip(("first", "last"), moments, strict=True)
+    ]
+    table = pd.DataFrame(rows, columns=["scene", "name", "stride", "time"]).set_index("stride")
+    times = dict([*table.groupby(["scene", "name"])["time"]])
+    # Times are products of a time step, so they are equal up to rounding.
+    return {key: values for key, values in times.items() if values.round(6).nunique() > 1}
+
+
+def comparison_table(comparisons: pd.DataFrame) -> str:
+    """Return the rows of `compare` as Markdown."""
+    table = comparisons.drop(columns="stride").replace({"twin": LABELS})
+    for name in ("twin / model", "from", "to"):
+        table[name] = table[name].map(digits)
+    table["each seed"] = [
+        ", ".join(map(digits, map(float, it.split()))) for it in table["each seed"]
+    ]
+    table = table.replace({"from": "nan", "to": "nan"}, NONE).rename(columns={"from": "95 % from"})
+    return _markdown(table, "There is nothing to compare.")
+
+
+def training_table(groups: Sequence[Group]) -> str:
+    """Return each group's training length, and how its validation errors end."""
+    rows = []
+    for group in groups:
+        curves = {name: group.curves("velocity_mse", name) for name in LABELS}
+        ends = [
+            describe_change(worst_change(map(final_change, curves[name], group.training_steps)))
+            for name in LABELS
+        ]
+        rates = [
+            f"{rate.iloc[0]:.2g} to {rate.iloc[-1]:.2g}" for rate in group.curves(RATE) if len(rate)
+        ]
+        steps, validations = min(group.training_steps), min(map(len, curves[MODEL]))
+        rate = ", ".join(dict.fromkeys(rates)) or NONE
+        rows.append((group.scene, group.step, steps, rate, validations, *ends))
+    header = ["scene", "step", "training steps", "learning rate", "validations", *LABELS.values()]
+    return _markdown(pd.DataFrame(rows, columns=header))
+
+
 def permutation_table(groups: Sequence[Group]) -> str:
     """Return how much the error grows with the global feature of another frame."""
     metric = "velocity_mse / own"
-    rows: list[list[Cell]] = []
-    for group in groups:
-        values = group.values("another frame", metric, PERMUTATION).values()
-        rows.append([group.scene, group.step, len(values), spread(values, len(group.runs))])
-    return markdown(("scene", "step", "seeds", metric), rows)
-
-
-def cost_sentence(groups: Sequence[Group]) -> str:
-    """Return the cost of each twin's training step in units of the model's."""
-    labels = {ACCELERATION: "with the acceleration target", WITHOUT: "without the global feature"}
-    runs = [run for group in groups for run in group.runs]
-    parts = []
-    for twin, label in labels.items():
-        curves = [[run.curve("cost/step_seconds", name) for name in (twin, MODEL)] for run in runs]
-        ratios = [
-            seconds.iloc[-1] / base.iloc[-1]
-            for seconds, base in curves
-            if not seconds.empty and not base.empty and base.iloc[-1]
-        ]
-        if ratios:
-            parts.append(f"{digits(median(ratios))} times as long {label} ({len(ratios)} runs)")
-    if not parts:
-        return "No times of training steps were logged."
-    return (
-        f"A training step takes {' and '.join(parts)} as that of the model: the median over the "
-        "runs, measured on the first batch of each, the models in turn."
-    )
-
-
-def write_csv_files(
-    folder: Path, groups: Sequence[Group], comparisons: Sequence[Comparison]
-) -> list[str]:
-    """Write the tables with all digits and a row per seed; return the files' names."""
-    run = ["scene", "stride", "seed"]
-    one_step = pd.concat([group.tables[ONE_STEP] for group in groups])
-    rollouts = pd.concat(
-        [
-            rows[rows["steps"].isin([moment.steps for moment in group.moments(start)])]
-            for group in groups
-            for start, label in STARTS.items()
-            for rows in [group.tables[start].assign(start=label)]
-        ]
-    )
-    one_step = one_step[one_step["predictor"].isin(_ONE_STEP_ROWS)]
-    rollouts = rollouts[rollouts["predictor"].isin(_ROLLOUT_ROWS)]
-    rollouts = rollouts.reindex(
-        columns=[*run, "start", "predictor", "steps", "time s", *_ROLLOUT_METRICS]
-    )
-    header = [
-        "twin", "scene", "stride", "figure", "seeds", "twin / model", "from", "to", "each seed",
-        "decided",
-    ]  # fmt: skip
     rows = [
-        (row.twin, row.group.scene, row.group.stride, row.metric, len(row.ratio.each),
-         row.ratio.mean, *(row.ratio.interval or ("", "")),
-         " ".join(map(repr, row.ratio.each)), row.decision)
-        for row in comparisons
-    ]  # fmt: skip
-    files = {
-        "ablations.csv": pd.DataFrame(rows, columns=header),
-        "ablations_one_step.csv": one_step.reindex(columns=[*run, "predictor", *_ONE_STEP_METRICS]),
-        "ablations_rollouts.csv": rollouts.rename(columns=_ROLLOUT_METRICS),
-    }
-    for name, table in files.items():
-        table.to_csv(folder / name, index=False)
-    return list(files)
+        (group.scene, group.step, len(values), spread(values, len(group.seeds)))
+        for group in groups
+        for values in [group.values("another frame", metric, PERMUTATION)]
+    ]
+    return _markdown(pd.DataFrame(rows, columns=["scene", "step", "seeds", metric]))
+
+
+def costs(groups: Sequence[Group]) -> pd.DataFrame:
+    """Return the time of each model's training step over that of the model, for each run."""
+    rows = pd.concat([group.rows for group in groups])
+    rows = rows[rows["metric"] == COST].drop_duplicates([*RUN, "predictor"], keep="last")
+    seconds = rows.pivot(index=RUN, columns="predictor", values="value").reindex(columns=[*LABELS])
+    return seconds.div(seconds[MODEL].replace(0, math.nan), axis="index")

@@ -8,8 +8,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import final
 
@@ -45,13 +44,9 @@ class Training:
     ) -> None:
         self.folder = folder
         self._arguments = [*(f"--config={config}" for config in configs), *arguments]
-        self._identity = {
-            "arguments": self._arguments,
-            # These are all: a `base` counts in the first config only, and trainer.yaml has none.
-            "configs": {
-                str(config): hashlib.sha256(config.read_bytes()).hexdigest() for config in configs
-            },
-        }
+        # These are all: a `base` counts in the first config only, and trainer.yaml has none.
+        hashes = {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in configs}
+        self._identity = {"arguments": self._arguments, "configs": hashes}
         # Without both limits concurrent trainings wait for each other's cores.
         limits = dict.fromkeys(("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), str(threads))
         self._environment = {**os.environ, **limits}
@@ -76,25 +71,29 @@ class Training:
         """Run a stage unless it is finished.
 
         Raises:
-            UserError: The stage failed, with its last message; it was stopped; or another process
-                uses the folder, or ran another training there.
+            UserError: The stage failed or was stopped, or another process uses the folder.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
-        with self._lock() as lock:
+        with (self.folder / _LOCK).open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise UserError(
+                    f"{self.folder} is in use by another process that trains or tests; wait for "
+                    "it to end, or end it."
+                ) from error
             # Another process may have finished the stage before the lock was taken.
             self._done = self._read_note()
             if stage in self._done:
                 return
             self._write_note()
             log = self.folder / f"{stage}.log"
-            status = self._execute(stage, lock, log)
-            if status < 0:
-                raise UserError(
-                    f"{stage} of {self.folder} was killed by signal {-status}, possibly for lack "
-                    "of memory."
-                )
+            status = self._execute(stage, lock.fileno(), log)
             if status:
-                raise UserError(f"{stage} of {self.folder} failed: {_last_message(log)} ({log})")
+                reason = f"failed: {_last_message(log)} ({log})"
+                if status < 0:
+                    reason = f"was killed by signal {-status}, possibly for lack of memory."
+                raise UserError(f"{stage} of {self.folder} {reason}")
             if stage == "fit":
                 self._check_checkpoint()
             self._done.append(stage)
@@ -117,28 +116,20 @@ class Training:
         return self._process.wait()
 
     def _command(self, stage: str) -> list[str]:
+        quiet = "--trainer.enable_progress_bar=false"
         if stage == "test":
-            return ["test", f"--run={self.folder}", "--trainer.enable_progress_bar=false"]
-        logger = "--trainer.logger.init_args"
+            return ["test", f"--run={self.folder}", quiet]
+        logger = {"save_dir": self.folder.parent, "name": self.folder.name, "version": ""}
+        options = [f"--trainer.logger.init_args.{name}={value}" for name, value in logger.items()]
         resume = [f"--ckpt_path={self._checkpoint}"] if self._checkpoint.exists() else []
-        return [
-            "fit",
-            *self._arguments,
-            f"{logger}.save_dir={self.folder.parent}",
-            f"{logger}.name={self.folder.name}",
-            f"{logger}.version=",
-            "--trainer.enable_progress_bar=false",
-            *resume,
-        ]
+        return ["fit", *self._arguments, *options, quiet, *resume]
 
     def _check_checkpoint(self) -> None:
         """Check that the weights of the last step were saved, since these are tested."""
-        remedy = "weights are saved at validations, so"
+        start, cause = f"fit of {self.folder} saved", "weights are saved at validations, so"
+        interval = "--trainer.val_check_interval"
         if not self._checkpoint.exists():
-            raise UserError(
-                f"fit of {self.folder} saved no weights: {remedy} it must train for at least "
-                "--trainer.val_check_interval steps."
-            )
+            raise UserError(f"{start} no weights: {cause} train for {interval} steps or more.")
         config = yaml.safe_load((self.folder / "config.yaml").read_text())
         # -1 where --trainer.max_epochs ends the training.
         steps: int = config["trainer"]["max_steps"]
@@ -146,33 +137,19 @@ class Training:
         saved = torch.load(self._checkpoint, mmap=True, weights_only=False)["global_step"]
         if saved < steps:
             raise UserError(
-                f"fit of {self.folder} saved the weights of step {saved} of {steps}: {remedy} "
-                "--trainer.max_steps must be a multiple of --trainer.val_check_interval."
+                f"{start} the weights of step {saved} of {steps}: {cause} --trainer.max_steps must "
+                f"be a multiple of {interval}."
             )
-
-    @contextmanager
-    def _lock(self) -> Iterator[int]:
-        """Lock the folder; yield the descriptor of the lock file."""
-        with (self.folder / _LOCK).open("w") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError as error:
-                raise UserError(
-                    f"{self.folder} is in use by another process that trains or tests; wait for "
-                    "it to end, or end it."
-                ) from error
-            yield lock.fileno()
 
     def _read_note(self) -> list[str]:
         """Return the finished stages; none where nothing was trained."""
+        trained = self._checkpoint.exists()
         remedy = f"name another --output, or delete {self.folder}."
         if not self._note.exists():
-            if self._checkpoint.exists():
-                raise UserError(
-                    f"{self.folder} holds weights but no {NOTE}, so their training is unknown; "
-                    f"{remedy}"
-                )
-            return []
+            if not trained:
+                return []
+            problem = f"holds weights but no {NOTE}, so their training is unknown"
+            raise UserError(f"{self.folder} {problem}; {remedy}")
         try:
             note = json.loads(self._note.read_text())
         except (OSError, ValueError):
@@ -180,7 +157,7 @@ class Training:
         if not isinstance(note, dict) or not isinstance(note.get("done"), list):
             raise UserError(f"{self._note} is damaged; {remedy}")
         if any(note.get(name) != value for name, value in self._identity.items()):
-            if not note["done"] and not self._checkpoint.exists():
+            if not note["done"] and not trained:
                 # That training saved nothing, for example because of a mistyped option.
                 return []
             raise UserError(f"{self.folder} was trained with other options or configs; {remedy}")
