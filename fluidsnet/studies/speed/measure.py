@@ -1,12 +1,10 @@
-"""Measure a network or the processor; the measuring process of `run_trial`.
-
-Run as ``python -m fluidsnet.studies.speed.measure trial.pkl result.pkl``.
-"""
+"""Measure a network or the processor; the measuring process of `run_trial`."""
 
 from __future__ import annotations
 
-import contextlib
+import os
 import pickle
+import resource
 import sys
 import time
 from collections.abc import Callable
@@ -32,8 +30,10 @@ from fluidsnet.models.loading import build
 from fluidsnet.particles import Particles
 from fluidsnet.studies.dam_break import CELLS
 from fluidsnet.studies.speed.floor import measure_cores
-from fluidsnet.studies.speed.options import SpeedOptions
-from fluidsnet.studies.speed.trial import STAGES, Result, Trial
+from fluidsnet.studies.speed.trial import Result, SpeedOptions, Trial
+
+#: Profiler ranges of a step, as `Network.forward` names them.
+STAGES = ("sort", "search", "search + local", "local", "voxel", "global", "head")
 
 
 def load_model(options: SpeedOptions, neighbors: str) -> Model:
@@ -105,11 +105,10 @@ class _Bench:
         parts = (state.position[:200], state.velocity[:200], state.solid_position[:200])
         self.step(Particles.single(*parts, state.scene))
 
-    def autocast(self) -> contextlib.AbstractContextManager[Any]:
+    def autocast(self) -> torch.autocast:
         """Return the context of the trial's precision."""
-        if self.trial.precision == "float32":
-            return contextlib.nullcontext()
-        return torch.autocast(self.device.type, dtype=getattr(torch, self.trial.precision))
+        name = self.trial.precision
+        return torch.autocast(self.device.type, getattr(torch, name), enabled=name != "float32")
 
     def step(self, state: Particles | None = None) -> Tensor:
         """Return the next velocities (N, 3), m/s, on the CPU, with all copies included."""
@@ -209,20 +208,18 @@ def _error(velocity: Tensor, reference: Path) -> float | None:
     return float(np.linalg.norm(velocity.float().numpy() - truth, axis=1).mean()) / scale
 
 
-def _limit_memory() -> None:
-    """Let an allocation beyond the free memory fail here, before the machine runs out of it."""
-    import resource
-
-    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    limit = int(0.9 * free_bytes(torch.device("cpu")))
-    resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
-
-
-def main(task: str, answer: str) -> None:
-    """Carry out the trial in one file and write its result to the other."""
-    trial: Trial = pickle.loads(Path(task).read_bytes())
+def main() -> None:
+    """Read a trial from stdin, carry it out and write its result to stdout."""
+    answer = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    # What libraries print must not get into the answer.
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    trial: Trial = pickle.load(sys.stdin.buffer)
     if sys.platform == "linux" and trial.options.device == "cpu":
-        _limit_memory()
+        # Lets an allocation beyond the free memory fail before the machine runs out of it.
+        limit = int(0.9 * free_bytes(torch.device("cpu")))
+        resource.setrlimit(
+            resource.RLIMIT_DATA, (limit, resource.getrlimit(resource.RLIMIT_DATA)[1])
+        )
     try:
         result = measure(trial)
     except UserError as error:
@@ -232,8 +229,5 @@ def main(task: str, answer: str) -> None:
         if not out_of_memory and "allocate" not in str(error):
             raise
         result = Result(failure="out of memory")
-    Path(answer).write_bytes(pickle.dumps(result))
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])
+    with answer:
+        pickle.dump(result, answer)
