@@ -13,7 +13,7 @@ from torch import nn
 
 from fluidsnet.baselines import TRIVIAL_PREDICTORS
 from fluidsnet.errors import UserError
-from fluidsnet.metrics.rollout_suite import BESIDE
+from fluidsnet.metrics.suite import BASELINES
 from fluidsnet.model import BLOCKS, Block, Model, can_be
 from fluidsnet.module import FluidsNet
 from fluidsnet.particles import Transitions
@@ -66,7 +66,7 @@ class Ablation(Callback, ChartSource):
             )
         if not can_be(block, variant):
             raise UserError(f"Ablation: {_label(variant)} cannot be the {block} of a FluidsNet.")
-        taken = {"model", *TRIVIAL_PREDICTORS, *BESIDE, *dir(nn.ModuleDict)}
+        taken = {"model", *TRIVIAL_PREDICTORS, *BASELINES, *dir(nn.ModuleDict)}
         if not re.fullmatch("[a-z][a-z0-9_]*", name) or name in taken:
             raise UserError(
                 f"Ablation: the name {name!r} is taken or has characters other than lower-case "

@@ -53,6 +53,7 @@ class HDF5RolloutStarts(Dataset[RolloutStart]):
         names: Name of the simulation of each start.
         first: Frame of each start.
         steps: Number of steps of each rollout.
+        known_steps: Number of steps of each rollout that have a true state.
 
     Raises:
         UserError: a rollout cannot start at one of the frames.
@@ -71,6 +72,7 @@ class HDF5RolloutStarts(Dataset[RolloutStart]):
         self.names: list[str] = []
         self.first: list[int] = []
         self.steps: list[int] = []
+        self.known_steps: list[int] = []
         for name in list(reader.frames)[:simulations]:
             count = reader.frames[name]
             for frame in frames:
@@ -86,10 +88,9 @@ class HDF5RolloutStarts(Dataset[RolloutStart]):
                     )
                 self.names.append(name)
                 self.first.append(first)
-                if steps is None:
-                    self.steps.append(known)
-                else:
-                    self.steps.append(steps if beyond_truth else min(steps, known))
+                rolled = known if steps is None else steps
+                self.steps.append(rolled if beyond_truth else min(rolled, known))
+                self.known_steps.append(min(rolled, known))
 
     def __len__(self) -> int:
         return len(self.names)

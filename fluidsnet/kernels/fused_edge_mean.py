@@ -1,8 +1,7 @@
-"""Search, edge network and pooling in one pass on the CPU, compiled: no edge is ever stored.
+"""Search, edge network and pooling in one pass, which stores no edge.
 
-The paper's local feature (section 4.3) needs each neighbor for as long as it takes to send
-it through two small layers. The first is linear in numbers of the neighbor less numbers of the
-particle, so it is applied to each candidate of a cell once, and an edge is a difference.
+The first layer of the paper's local feature (section 4.3) is linear in neighbor minus particle:
+it is applied once to each candidate of a cell, and an edge is a difference.
 """
 
 from __future__ import annotations
@@ -15,45 +14,33 @@ from numba import njit, prange
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fluidsnet.features.dense import (
+from fluidsnet.kernels import nearest
+from fluidsnet.kernels.cell_table import CellTable, is_finite
+from fluidsnet.kernels.columns import (
     LANES,
     UNITS,
     add_units,
+    apply_tanh,
     as_array,
     mean,
     rounded_up,
-    squash,
-)
-from fluidsnet.neighbors.cells import CellTable, is_finite
-from fluidsnet.neighbors.nearest import (
-    BINS,
-    BLOCK,
-    DROPPED,
-    collect,
-    drop_farthest,
-    enters,
-    keep_up_to,
-    list_near,
-    look_around,
-    measure,
-    within,
 )
 from fluidsnet.particles import Particles
 
-# Edges that go through the layers together: few enough to stay in the first cache.
+# Edges per pass through the layers: few enough to stay in the first cache.
 _EDGES = 448
 
 
 class EdgeLayers(NamedTuple):
-    """The two layers of the edge network; all float32.
+    """Two layers of an edge network over [offset, velocity, marker]; all float32.
 
     Attributes:
-        offset: (H, 3) of the first, for offsets in m.
-        velocity: (H, 3) of the first, for velocities in m/s.
-        fluid: (H,) what a fluid neighbor adds by being one, the bias included.
-        solid: (H,) what a solid one adds.
-        weight: (W, H) of the second, `padded`.
-        bias: (W,) of the second.
+        offset: (H, 3) weight of the first layer for offsets, 1/m.
+        velocity: (H, 3) weight of the first layer for velocities, s/m.
+        fluid: (H,) bias of the first layer for fluid neighbors.
+        solid: (H,) bias of the first layer for solid neighbors.
+        weight: (W, H) weight of the second layer, `padded`.
+        bias: (W,) bias of the second layer.
     """
 
     offset: NDArray[np.float32]
@@ -64,21 +51,20 @@ class EdgeLayers(NamedTuple):
     bias: NDArray[np.float32]
 
 
-def neighbor_mean(
-    particles: Particles, cells: tuple[CellTable, CellTable], layers: EdgeLayers, k: int
+def fused_edge_mean(
+    particles: Particles, tables: tuple[CellTable, CellTable], layers: EdgeLayers, k: int
 ) -> Tensor:
-    """The mean over the neighbors of each fluid particle of what the layers make of them.
+    """Return the mean output of the layers over the neighbors of each fluid particle, (N, W).
+
+    A particle without neighbors gets zeros.
 
     Args:
         particles: N fluid particles and the solid ones.
-        cells: both sorted into cells.
-        layers: of the edge network.
-        k: the most neighbors; the nearest count, and of the equally far the lower rows.
-
-    Returns:
-        (N, W); zeros where there is no neighbor.
+        tables: Cell tables of fluid and solids.
+        layers: Edge network.
+        k: Maximum number of neighbors; the nearest, of equally far ones the lower rows.
     """
-    fluid, solids = cells
+    fluid, solids = tables
     pooled = np.empty((len(particles), len(layers.bias)), np.float32)
     _pool(
         fluid,
@@ -95,7 +81,7 @@ def neighbor_mean(
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _sort(velocity: Any, row: Any) -> Any:
-    """Velocities (P, 3) in the order of cells, (3, P)."""
+    """Return velocities (P, 3) in the order of cells, (3, P)."""
     result = np.empty((3, len(row)), np.float32)
     for s in prange(len(row)):
         for axis in range(3):
@@ -108,9 +94,9 @@ def _pool(
     fluid: CellTable, solids: CellTable, fluid_velocity: Any, solid_velocity: Any,
     layers: EdgeLayers, limit: Any, k: int, pooled: Any,
 ) -> None:  # fmt: skip
-    """`neighbor_mean` by row; velocities (3, P) in the order of the cells, limit in m²."""
+    """Write `fused_edge_mean`; velocities (3, P) in the order of the cells, limit in m²."""
     count, hidden = len(fluid.row), len(layers.fluid)
-    for block in prange((count + BLOCK - 1) // BLOCK):
+    for block in prange((count + nearest.BLOCK - 1) // nearest.BLOCK):
         cell, begin, end = np.full(4, np.nan), np.empty(54, np.int64), np.empty(54, np.int64)
         room = 1024
         place, speed = np.empty((3, room), np.float32), np.empty((3, room), np.float32)
@@ -118,22 +104,22 @@ def _pool(
         squared, sent = np.empty(room, np.float32), np.empty((hidden, room), np.float32)
         key = np.empty(2 * k + 512, np.int64)
         spare, bins = np.empty(len(key), np.int64), np.empty(len(key), np.int32)
-        start = np.empty(BINS, np.int32)
-        # Edges of several particles, one's after another's; zeros for units that only fill up.
+        start = np.empty(nearest.BINS, np.int32)
+        # Edges of several particles; zeros for units that are padding.
         most = rounded_up(_EDGES + k, LANES)
         edges = np.zeros((rounded_up(hidden, UNITS), most), np.float32)
         result = np.empty(most, np.float32)
-        whose, until = np.empty(most, np.int64), np.empty(most, np.int64)
+        owner, until = np.empty(most, np.int64), np.empty(most, np.int64)
         candidates, shift, waiting, filled = 0, 0, 0, 0
         origin = np.zeros(3, np.float32)
-        for s in range(block * BLOCK, min(count, (block + 1) * BLOCK)):
+        for s in range(block * nearest.BLOCK, min(count, (block + 1) * nearest.BLOCK)):
             x, y, z = fluid.place[0, s], fluid.place[1, s], fluid.place[2, s]
             mine = fluid.row[s]
             pooled[mine] = 0
             if not is_finite(x, y, z):
                 continue
-            if enters(fluid, s, cell):
-                runs, all_runs = look_around(fluid, solids, cell, begin, end)
+            if nearest.enters(fluid, s, cell):
+                runs, all_runs = nearest.look_around(fluid, solids, cell, begin, end)
                 candidates = (end[:all_runs] - begin[:all_runs]).sum()
                 if candidates > room:
                     room = 2 * candidates
@@ -141,10 +127,10 @@ def _pool(
                     row, near = np.empty(room, np.int32), np.empty(room, np.int32)
                     squared = np.empty(room, np.float32)
                     sent = np.empty((hidden, room), np.float32)
-                wet = collect(fluid, solids, begin, end, runs, all_runs, place, row)
+                wet = nearest.collect(fluid, solids, begin, end, runs, all_runs, place, row)
                 _copy(fluid_velocity, begin[:runs], end[:runs], speed, 0)
                 _copy(solid_velocity, begin[runs:all_runs], end[runs:all_runs], speed, wet)
-                # Offsets from somewhere near: far from zero, floats are too coarse to subtract.
+                # Coordinates relative to a near point, since float32 is coarse far from zero.
                 origin[0], origin[1], origin[2] = x, y, z
                 for h in range(hidden):
                     to, constant = sent[h], layers.fluid[h]
@@ -152,14 +138,14 @@ def _pool(
                     constant = layers.solid[h]
                     _send(place, speed, origin, layers, h, constant, to, wet, candidates)
                 shift = _shift(s, begin, end, runs)
-            measure(place[0, :candidates], place[1], place[2], x, y, z, squared)
+            nearest.measure(place[0, :candidates], place[1], place[2], x, y, z, squared)
             squared[s - shift] = np.inf
-            found = list_near(squared, candidates, limit, near)
-            if found > k + DROPPED:
-                within(squared, row, candidates, mine, limit, k, key, spare, bins, start)
-                found = keep_up_to(key[k - 1], squared, row, near, found)
+            found = nearest.list_near(squared, candidates, limit, near)
+            if found > k + nearest.DROPPED:
+                nearest.within(squared, row, candidates, mine, limit, k, key, spare, bins, start)
+                found = nearest.keep_up_to(key[k - 1], squared, row, near, found)
             else:
-                found = drop_farthest(squared, row, near, found, k)
+                found = nearest.drop_farthest(squared, row, near, found, k)
             if found == 0:
                 continue
             for h in range(hidden):
@@ -168,17 +154,17 @@ def _pool(
                 own += along[2] * (z - origin[2])
                 _subtract(sent[h], near, own, edges[h, filled : filled + found])
             filled += found
-            whose[waiting], until[waiting] = mine, filled
+            owner[waiting], until[waiting] = mine, filled
             waiting += 1
             if filled > _EDGES:
-                _flush(edges, filled, layers, result, whose, until, waiting, pooled)
+                _flush(edges, filled, layers, result, owner, until, waiting, pooled)
                 waiting = filled = 0
-        _flush(edges, filled, layers, result, whose, until, waiting, pooled)
+        _flush(edges, filled, layers, result, owner, until, waiting, pooled)
 
 
 @njit(cache=True, error_model="numpy")
 def _copy(values: Any, begin: Any, end: Any, to: Any, filled: int) -> None:
-    """Copies runs of values (3, P) side by side, from `filled` on."""
+    """Copy runs of values (3, P) to `to` from `filled` on."""
     at: Any = np.uint64(filled)
     for run in range(len(begin)):
         for s in range(np.uint64(begin[run]), np.uint64(end[run])):
@@ -193,7 +179,7 @@ def _send(
     place: Any, speed: Any, origin: Any, layers: EdgeLayers, h: int, constant: Any, to: Any,
     first: int, last: int,
 ) -> None:  # fmt: skip
-    """Writes what a hidden unit hears of the candidates from first to last."""
+    """Write the input of a hidden unit from the candidates first to last."""
     along, across = layers.offset[h], layers.velocity[h]
     xs, ys, zs = place[0, first:last], place[1, first:last], place[2, first:last]
     us, vs, ws = speed[0, first:last], speed[1, first:last], speed[2, first:last]
@@ -201,13 +187,13 @@ def _send(
     x, y, z = origin[0], origin[1], origin[2]
     a, b, c, d, e, f = along[0], along[1], along[2], across[0], across[1], across[2]
     for i in range(len(out)):
-        heard = constant + a * (xs[i] - x) + b * (ys[i] - y) + c * (zs[i] - z)
-        out[i] = heard + d * us[i] + e * vs[i] + f * ws[i]
+        value = constant + a * (xs[i] - x) + b * (ys[i] - y) + c * (zs[i] - z)
+        out[i] = value + d * us[i] + e * vs[i] + f * ws[i]
 
 
 @njit(cache=True, error_model="numpy")
 def _shift(s: int, begin: Any, end: Any, runs: int) -> Any:
-    """How much further back a cell's particles are as candidates than in the order of cells."""
+    """Return the index in the order of cells, less that among the candidates, of a particle."""
     before = 0
     for run in range(runs):
         if begin[run] <= s < end[run]:
@@ -218,26 +204,26 @@ def _shift(s: int, begin: Any, end: Any, runs: int) -> Any:
 
 @njit(cache=True, error_model="numpy")
 def _subtract(sent: Any, near: Any, own: Any, to: Any) -> None:
-    """Writes the first layer of the edges to those near, before its tanh."""
+    """Write the first layer before tanh for the edges to the candidates in `near`."""
     for i in range(len(to)):
         to[i] = sent[np.uint32(near[i])] - own
 
 
 @njit(cache=True, error_model="numpy")
 def _flush(
-    edges: Any, filled: int, layers: EdgeLayers, result: Any, whose: Any, until: Any,
+    edges: Any, filled: int, layers: EdgeLayers, result: Any, owner: Any, until: Any,
     waiting: int, pooled: Any,
 ) -> None:  # fmt: skip
-    """Sends edges through what is left of the layers and pools them."""
+    """Apply tanh and the second layer to the edges and pool them."""
     wide = rounded_up(filled, LANES)
     for h in range(len(layers.fluid)):
-        squash(edges[h, :wide])
+        apply_tanh(edges[h, :wide])
     out = result[:wide]
     for o in range(len(layers.bias)):
         out[:] = layers.bias[o]
         add_units(layers.weight[o], edges, out)
-        squash(out)
+        apply_tanh(out)
         begin = 0
         for i in range(waiting):
-            pooled[whose[i], o] = mean(out[begin : until[i]])
+            pooled[owner[i], o] = mean(out[begin : until[i]])
             begin = until[i]

@@ -1,11 +1,11 @@
-"""The paper's local feature with its gradients on the CPU, compiled: edges pass block by block.
+"""Edge network and pooling with gradients, in blocks of edges that stay in the first cache.
 
-An edge's numbers stay in the first cache, forward and backward; between the two nothing is kept
-of it but its neighbor.
+The backward pass recomputes the activations of a block, so only the neighbor list is kept.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,42 +13,51 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from fluidsnet.features.dense import LANES, UNITS, add_units, as_array, mean, rounded_up, squash
-from fluidsnet.neighbors.search import Neighbors
-from fluidsnet.neighbors.threads import take_threads
+from fluidsnet.kernels.columns import (
+    LANES,
+    UNITS,
+    Layer,
+    add_units,
+    apply_tanh,
+    as_array,
+    mean,
+    rounded_up,
+    row_length,
+)
+from fluidsnet.kernels.threads import set_threads
+from fluidsnet.particles import Particles
 
-# Particles whose edges go through the layers together, and blocks of them that a thread takes
-# at a time; fixed, so that sums do not depend on the number of threads.
+# Particles per block and blocks per chunk of a thread; fixed, so that sums do not depend on the
+# number of threads.
 _PARTICLES, _BLOCKS = 12, 32
 
 
-#: Weight (O, I) and bias (O,).
-Layer = tuple[Tensor, Tensor]
+def edge_mean(
+    particles: Particles, sent: Tensor, neighbor: Tensor, offset: Tensor, layers: Sequence[Layer]
+) -> Tensor:
+    """Return the mean output (N, W) of two layers over the edges of each particle.
 
-
-def edge_mean(rows: Tensor, neighbors: Neighbors, first: Layer, second: Layer) -> Tensor:
-    """The mean over each particle's neighbors of what two layers make of them.
-
-    Each layer is followed by a tanh that is off by 5e-7 at most.
+    Tanh, exact to 5e-7, follows each layer. A particle without edges gets zeros.
 
     Args:
-        rows: (P, 3 + S) position of fluid and solid particles, and what they tell as neighbors;
-            gets no gradient.
-        neighbors: of the N fluid particles, which are the first of the P.
-        first: layer from offset and what is told, 3 + S numbers, to H.
-        second: layer from H to W numbers.
-
-    Returns:
-        (N, W); zeros where there is no neighbor.
+        particles: N fluid particles and M solid ones; they get no gradient.
+        sent: (N + M, S) columns that neighbors send; gets no gradient.
+        neighbor: (E,) row of the neighbor of each edge.
+        offset: (N + 1,) first edge of each fluid particle.
+        layers: From offset in support radii and sent columns, 3 + S, to H, and from H to W.
     """
+    (weight, bias), second = layers
+    # Offsets in m are rounded least, so the weights are scaled instead.
+    weight = torch.cat([weight[:, :3] / particles.scene.support_radius, weight[:, 3:]], dim=1)
+    rows = torch.cat([torch.cat([particles.position, particles.solid_position]), sent], dim=1)
     pooled: Tensor = _EdgeMean.apply(  # type: ignore[no-untyped-call]
-        _with_bias(*first), _with_bias(*second), rows, neighbors, len(first[1])
+        _with_bias(weight, bias), _with_bias(*second), rows, neighbor, offset, len(bias)
     )
     return pooled
 
 
 def _with_bias(weight: Tensor, bias: Tensor) -> Tensor:
-    """Weight (O, I) with the bias as that of a unit more, which is always one; filled up."""
+    """Return the weight (O, I) with the bias as a further column, padded as `padded` does."""
     weight = torch.cat([weight, bias[:, None]], dim=1)
     return torch.nn.functional.pad(weight, (0, -weight.shape[1] % UNITS))
 
@@ -56,20 +65,14 @@ def _with_bias(weight: Tensor, bias: Tensor) -> Tensor:
 class _EdgeMean(torch.autograd.Function):
     @staticmethod
     def forward(
-        context: Any, first: Tensor, second: Tensor, rows: Tensor, neighbors: Neighbors, hidden: int
-    ) -> Tensor:
-        arrays = (
-            as_array(first),
-            as_array(second),
-            as_array(rows),
-            neighbors.neighbor.numpy(),
-            neighbors.offset.numpy(),
-            hidden,
-        )
-        context.arrays = arrays
-        pooled = np.empty((len(neighbors.offset) - 1, len(second)), np.float32)
-        take_threads(len(pooled))
-        _pool(*arrays, pooled)
+        context: Any, first: Tensor, second: Tensor, rows: Tensor, neighbor: Tensor,
+        offset: Tensor, hidden: int,
+    ) -> Tensor:  # fmt: skip
+        layers = as_array(first), as_array(second)
+        context.arrays = (*layers, as_array(rows), neighbor.numpy(), offset.numpy(), hidden)
+        pooled = np.empty((len(offset) - 1, len(second)), np.float32)
+        set_threads(len(pooled))
+        _forward(*context.arrays, pooled)  # type: ignore[call-arg]
         return torch.from_numpy(pooled)
 
     @staticmethod
@@ -77,46 +80,45 @@ class _EdgeMean(torch.autograd.Function):
         gradient = as_array(gradients[0])
         first, second = context.arrays[:2]
         chunks = -(-len(gradient) // (_PARTICLES * _BLOCKS))
-        of_first = np.zeros((chunks, *first.shape), np.float32)
-        of_second = np.zeros((chunks, *second.shape), np.float32)
-        take_threads(len(gradient))
-        _pull_back(*context.arrays, gradient, of_first, of_second)  # type: ignore[call-arg]
-        sums = (part.sum(axis=0, dtype=np.float64) for part in (of_first, of_second))
-        return (*(torch.from_numpy(part.astype(np.float32)) for part in sums), None, None, None)
+        parts = [np.zeros((chunks, *layer.shape), np.float32) for layer in (first, second)]
+        set_threads(len(gradient))
+        _backward(*context.arrays, gradient, *parts)  # type: ignore[call-arg]
+        sums = (part.sum(axis=0, dtype=np.float64).astype(np.float32) for part in parts)
+        return *map(torch.from_numpy, sums), None, None, None, None
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _pool(
+def _forward(
     first: Any, second: Any, rows: Any, neighbor: Any, offset: Any, hidden: int, pooled: Any
 ) -> None:
-    """`edge_mean`, with the biases in the layers (H, I), (W, H + 1), both filled up."""
+    """Write `edge_mean`; the layers (H, I), (W, H + 1) hold their biases and are padded."""
     count = len(pooled)
     for chunk in prange((count + _PARTICLES * _BLOCKS - 1) // (_PARTICLES * _BLOCKS)):
-        columns, units, out = _room(offset, chunk, count, first, second, len(second))
+        columns, units, out = _buffers(offset, chunk, count, first, second, len(second))
         for block in range(chunk * _BLOCKS, (chunk + 1) * _BLOCKS):
             begin, end = min(count, block * _PARTICLES), min(count, (block + 1) * _PARTICLES)
             wide = _layers(
                 first, second, rows, neighbor, offset, hidden, begin, end, columns, units, out
             )
             for o in range(len(second)):
-                squash(out[o, :wide])
+                apply_tanh(out[o, :wide])
                 for i in range(begin, end):
                     edges = out[o, offset[i] - offset[begin] : offset[i + 1] - offset[begin]]
                     pooled[i, o] = mean(edges) if len(edges) else np.float32(0.0)
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _pull_back(
+def _backward(
     first: Any, second: Any, rows: Any, neighbor: Any, offset: Any, hidden: int, gradient: Any,
-    of_first: Any, of_second: Any,
+    first_gradient: Any, second_gradient: Any,
 ) -> None:  # fmt: skip
-    """Gradients of the layers (chunks, *shape), a part a chunk, from that of the means (N, W)."""
+    """Write the layers' gradients (chunks, *shape) from that of the means (N, W)."""
     count = len(gradient)
     outputs = rounded_up(len(second), UNITS)
     back = np.zeros((hidden, outputs), np.float32)
     back[:, : len(second)] = second[:, :hidden].T
-    for chunk in prange(len(of_first)):
-        columns, units, out = _room(offset, chunk, count, first, second, outputs)
+    for chunk in prange(len(first_gradient)):
+        columns, units, out = _buffers(offset, chunk, count, first, second, outputs)
         inner = np.empty(columns.shape[1], np.float32)
         for block in range(chunk * _BLOCKS, (chunk + 1) * _BLOCKS):
             begin, end = min(count, block * _PARTICLES), min(count, (block + 1) * _PARTICLES)
@@ -124,29 +126,28 @@ def _pull_back(
                 first, second, rows, neighbor, offset, hidden, begin, end, columns, units, out
             )
             for o in range(len(second)):
-                squash(out[o, :wide])
+                apply_tanh(out[o, :wide])
                 for i in range(begin, end):
                     edges = out[o, offset[i] - offset[begin] : offset[i + 1] - offset[begin]]
                     _through_tanh(edges, gradient[i, o] / np.float32(max(len(edges), 1)))
-                # What fills up has no gradient.
+                # Padding has no gradient.
                 out[o, offset[end] - offset[begin] : wide] = 0
-                _add_products(out[o, :wide], units[:, :wide], of_second[chunk, o])
+                _add_products(out[o, :wide], units[:, :wide], second_gradient[chunk, o])
             for h in range(hidden):
                 inner[:wide] = 0
                 add_units(back[h], out[:, :wide], inner[:wide])
                 _times_slope(inner[:wide], units[h, :wide])
-                _add_products(inner[:wide], columns[:, :wide], of_first[chunk, h])
+                _add_products(inner[:wide], columns[:, :wide], first_gradient[chunk, h])
 
 
 @njit(cache=True, error_model="numpy")
-def _room(offset: Any, chunk: int, count: int, first: Any, second: Any, outputs: int) -> Any:
-    """Zeros for inputs, hidden units and outputs of the widest of a chunk's blocks."""
+def _buffers(offset: Any, chunk: int, count: int, first: Any, second: Any, outputs: int) -> Any:
+    """Return zeros for inputs, hidden units and outputs of the widest block of a chunk."""
     widest = 0
     for block in range(chunk * _BLOCKS, (chunk + 1) * _BLOCKS):
         begin, end = min(count, block * _PARTICLES), min(count, (block + 1) * _PARTICLES)
         widest = max(widest, offset[end] - offset[begin])
-    # Not a power of two from row to row, as those share few places in the cache.
-    wide = rounded_up(widest, LANES) | LANES
+    wide = row_length(widest)
     return (
         np.zeros((first.shape[1], wide), np.float32),
         np.zeros((second.shape[1], wide), np.float32),
@@ -159,7 +160,7 @@ def _layers(
     first: Any, second: Any, rows: Any, neighbor: Any, offset: Any, hidden: int, begin: int,
     end: int, columns: Any, units: Any, out: Any,
 ) -> Any:  # fmt: skip
-    """Fills in inputs, hidden units, and outputs before their tanh; returns how wide they are."""
+    """Write inputs, hidden units, and outputs before tanh; return the padded number of edges."""
     at = 0
     for i in range(begin, end):
         for edge in range(offset[i], offset[i + 1]):
@@ -174,7 +175,7 @@ def _layers(
     for h in range(hidden):
         units[h, :wide] = 0
         add_units(first[h], columns[:, :wide], units[h, :wide])
-        squash(units[h, :wide])
+        apply_tanh(units[h, :wide])
     units[hidden, :wide] = 1
     for o in range(len(second)):
         out[o, :wide] = 0
@@ -184,21 +185,21 @@ def _layers(
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _through_tanh(values: Any, gradient: Any) -> None:
-    """Puts a tanh's gradient before it in the place of its values, (E,)."""
+    """Replace the values (E,) of a tanh by the gradient of its inputs."""
     for e in range(len(values)):
         values[e] = gradient * (np.float32(1.0) - values[e] * values[e])
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _times_slope(gradient: Any, values: Any) -> None:
-    """Takes a gradient (E,) back through a tanh whose values are given."""
+    """Multiply a gradient (E,) by the slope of a tanh with these values."""
     for e in range(len(gradient)):
         gradient[e] *= np.float32(1.0) - values[e] * values[e]
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
 def _add_products(row: Any, columns: Any, out: Any) -> None:
-    """Adds to (I,) the products of a row (E,) with the columns (I, E); I a multiple of 4."""
+    """Add columns (I, E) times row (E,) to out (I,); I is a multiple of 4."""
     for i in range(0, len(columns), 4):
         a = b = c = d = np.float32(0.0)
         col_a, col_b, col_c, col_d = columns[i], columns[i + 1], columns[i + 2], columns[i + 3]

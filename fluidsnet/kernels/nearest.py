@@ -1,4 +1,4 @@
-"""The k nearest of one cell's particles among the candidates around it, compiled."""
+"""Selection of the k nearest neighbors among the candidates around a cell."""
 
 from __future__ import annotations
 
@@ -7,26 +7,23 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from fluidsnet.neighbors.cells import CellTable, around, cell_of
+from fluidsnet.kernels.cell_table import CellTable, around, cell_of
 
-#: Particles a thread takes at a time.
+#: Particles per block of a thread.
 BLOCK = 1024
-#: Into how many ranges of distance neighbors are put before they are sorted.
+#: Bins of distance of the bucket sort.
 BINS = 64
-#: Particles beyond the k nearest that are best dropped one by one; for more, all are sorted.
+#: Up to this many neighbors above k are dropped one by one; for more, all are sorted.
 DROPPED = 8
-#: The part of a key that is a row.
+#: Bits of a key that hold the row.
 ROW = 0x7FFFFFFF
 
 
 @njit(cache=True, error_model="numpy")
 def enters(cells: CellTable, s: int, cell: Any) -> Any:
-    """Whether a particle is in another cell than the one in `cell`; writes its own there.
+    """Write the cell of particle s of a table and return whether it differs from before.
 
-    Args:
-        cells: the particle is one of.
-        s: its place among them.
-        cell: (4,) float64, along x, y, z, and the frame; NaN before the first particle.
+    `cell` holds (4,) float64 coordinates x, y, z and frame; NaN before the first particle.
     """
     x = cell_of(cells.place[0, s], cells.density)
     y = cell_of(cells.place[1, s], cells.density)
@@ -40,17 +37,10 @@ def enters(cells: CellTable, s: int, cell: Any) -> Any:
 
 @njit(cache=True, error_model="numpy")
 def look_around(fluid: CellTable, solids: CellTable, cell: Any, begin: Any, end: Any) -> Any:
-    """Writes the runs of candidates in and around a cell, the fluid's first.
-
-    Args:
-        fluid: particles.
-        solids: particles.
-        cell: (4,) as `enters` writes it.
-        begin: (54,) of each run.
-        end: (54,) of the same.
+    """Write begin and end (54,) of the runs of candidates around a cell of `enters`.
 
     Returns:
-        Runs of fluid particles, and runs there are in all.
+        Number of runs of fluid particles, which come first, and of all runs.
     """
     runs = around(fluid, int(cell[3]), cell, begin, end, 0)
     return runs, around(solids, int(cell[3]), cell, begin, end, runs)
@@ -61,7 +51,7 @@ def collect(
     fluid: CellTable, solids: CellTable, begin: Any, end: Any, runs: int, all_runs: int, place: Any,
     row: Any,
 ) -> Any:  # fmt: skip
-    """Copies the runs of `look_around` side by side; returns how many of them are fluid."""
+    """Copy the candidates of `look_around`; return how many of them are fluid."""
     wet = _copy(fluid, 0, begin[:runs], end[:runs], place, row, 0)
     _copy(solids, len(fluid.row), begin[runs:all_runs], end[runs:all_runs], place, row, wet)
     return wet
@@ -71,8 +61,8 @@ def collect(
 def _copy(
     cells: CellTable, first: int, begin: Any, end: Any, place: Any, row: Any, filled: int
 ) -> Any:
-    """Copies runs of particles side by side, from `filled` on; returns where they end."""
-    # Unsigned, since numba asks of every signed index whether it counts from the end.
+    """Copy runs of particles to place and row from `filled` on; return the end."""
+    # Unsigned: numba checks every signed index for a count from the end.
     at: Any = np.uint64(filled)
     for run in range(len(begin)):
         for s in range(np.uint64(begin[run]), np.uint64(end[run])):
@@ -86,7 +76,7 @@ def _copy(
 
 @njit(cache=True, error_model="numpy")
 def measure(xs: Any, ys: Any, zs: Any, x: Any, y: Any, z: Any, squared: Any) -> None:
-    """Writes the squared distances; a loop so plain that it is vectorised."""
+    """Write the squared distances, m², in a loop that is vectorized."""
     for c in range(len(xs)):
         dx, dy, dz = xs[c] - x, ys[c] - y, zs[c] - z
         squared[c] = dx * dx + dy * dy + dz * dz
@@ -97,9 +87,9 @@ def within(
     squared: Any, row: Any, count: int, mine: int, limit: Any, k: int, key: Any, spare: Any,
     bins: Any, start: Any,
 ) -> Any:  # fmt: skip
-    """Writes the keys of the k nearest within the limit, sorted; returns how many.
+    """Write the sorted keys of the k nearest within the limit; return their number.
 
-    A key is the bits of the squared distance, which sort as it does, then the row.
+    A key holds the bits of the squared distance, which sort like the distance, then the row.
     """
     bits = squared.view(np.int32)
     found: Any = 0
@@ -107,15 +97,15 @@ def within(
     while c < count:
         before = found
         stop = min(count, c + len(key) - found)
-        # Written always and counted if near: no branch to guess wrong.
+        # Written always and counted if near, which avoids a branch.
         for candidate in range(np.uint64(c), np.uint64(stop)):
             key[np.uint64(found)] = candidate
             found += np.int64(squared[candidate] <= bound)
         near, found = found, before
         for i in range(before, near):
-            one = np.uint64(key[i])
-            key[np.uint64(found)] = (np.int64(bits[one]) << 32) | np.int64(row[one])
-            found += np.int64(row[one] != mine)
+            index = np.uint64(key[i])
+            key[np.uint64(found)] = (np.int64(bits[index]) << 32) | np.int64(row[index])
+            found += np.int64(row[index] != mine)
         c = stop
         if c < count and found > k:
             _order(key, found, limit, spare, bins, start)
@@ -127,12 +117,12 @@ def within(
 
 @njit(cache=True, error_model="numpy")
 def _order(key: Any, count: int, limit: Any, spare: Any, bins: Any, start: Any) -> None:
-    """Sorts the first `count` keys: roughly, into bins of distance, then by insertion."""
+    """Sort the first `count` keys by a bucket sort over distance, then by insertion."""
     scale = np.float32(BINS) / (limit + np.float32(1e-30))
     start[:] = 0
     for i in range(count):
         squared = np.int32(key[i] >> 32).view(np.float32)
-        # Unsigned, since what is none becomes the highest.
+        # Unsigned, so that NaN goes to the highest bin.
         bins[i] = min(np.uint32(np.int32(squared * scale)), np.uint32(BINS - 1))
         start[np.uint32(bins[i])] += 1
     filled = np.int32(0)
@@ -158,7 +148,7 @@ def _order(key: Any, count: int, limit: Any, spare: Any, bins: Any, start: Any) 
 
 @njit(cache=True, error_model="numpy")
 def list_near(squared: Any, candidates: int, limit: Any, near: Any) -> Any:
-    """Writes the candidates within the limit; returns how many."""
+    """Write the candidates within the limit to `near`; return their number."""
     found: Any = np.uint64(0)
     for candidate in range(np.uint64(candidates)):
         near[found] = candidate
@@ -168,7 +158,7 @@ def list_near(squared: Any, candidates: int, limit: Any, near: Any) -> Any:
 
 @njit(cache=True, error_model="numpy")
 def drop_farthest(squared: Any, row: Any, near: Any, found: int, k: int) -> Any:
-    """Drops the farthest, of the equally far the highest row, until k are left."""
+    """Drop the farthest neighbor, of equally far ones the highest row, until k are left."""
     while found > k:
         worst, far, highest = 0, squared[near[0]], row[near[0]]
         for i in range(1, found):
@@ -182,11 +172,11 @@ def drop_farthest(squared: Any, row: Any, near: Any, found: int, k: int) -> Any:
 
 @njit(cache=True, error_model="numpy")
 def keep_up_to(last: Any, squared: Any, row: Any, near: Any, found: int) -> Any:
-    """Keeps those whose key, as in `within`, is at most the last; returns how many."""
+    """Keep the neighbors whose key (see `within`) is at most `last`; return their number."""
     bits = squared.view(np.int32)
     kept = 0
     for i in range(found):
-        one = near[i]
-        near[kept] = one
-        kept += (np.int64(bits[one]) << 32) | np.int64(row[one]) <= last
+        index = near[i]
+        near[kept] = index
+        kept += (np.int64(bits[index]) << 32) | np.int64(row[index]) <= last
     return kept

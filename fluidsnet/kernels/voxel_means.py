@@ -1,4 +1,4 @@
-"""The voxel feature's layers and means in one pass over the cells on the CPU, compiled."""
+"""Layers and means of the voxel feature in one pass over the cells."""
 
 from __future__ import annotations
 
@@ -10,48 +10,46 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from fluidsnet.features.dense import (
-    LANES,
+from fluidsnet.kernels.columns import (
     UNITS,
+    Layer,
     add_units,
+    apply_tanh,
     as_array,
     mean,
     padded,
     rounded_up,
-    squash,
+    row_length,
 )
-from fluidsnet.neighbors.threads import take_threads
+from fluidsnet.kernels.threads import set_threads
 
-# Particles a thread sends through all layers at a time, or more to keep a cell whole.
+# Particles per block; more where a cell has more, since cells stay whole.
 _PARTICLES = 512
 
 
-def cell_means(
-    features: Tensor, order: Tensor, offset: Tensor, layers: Sequence[tuple[Tensor, Tensor]]
-) -> Tensor:
-    """Means over cells of the last of several layers, twice side by side: (C, 2·O).
+def voxel_means(features: Tensor, order: Tensor, offset: Tensor, layers: Sequence[Layer]) -> Tensor:
+    """Return the last layer's means over cells, twice side by side, (C, 2·O).
 
-    A layer is linear, then tanh. It takes a particle's own result of the layer before and, but
-    for the first, the mean of that over the particle's cell.
+    A layer is linear, then tanh. Its inputs are a particle's output of the layer before and,
+    except in the first layer, the mean of that output over the particle's cell.
 
     Args:
-        features: (N, inputs) float32 of the particles.
-        order: (N,) their rows, one cell's after another's.
-        offset: (C + 1,) where the cells begin in it.
-        layers: weight (O, I) and bias (O,) of each; but for the first, I is twice the O before.
+        features: (N, inputs) float32.
+        order: (N,) rows of the particles, sorted by cell.
+        offset: (C + 1,) first particle of each cell in `order`.
+        layers: Weight (O, I) and bias; I is twice the O of the layer before, except in the first.
     """
     widths = [features.shape[1], *(len(bias) for _, bias in layers)]
-    own = [padded(weight[:, :width]) for (weight, _), width in zip(layers, widths, strict=False)]
-    shared = [padded(weight[:, width:]) for (weight, _), width in zip(layers, widths, strict=False)]
+    pairs = list(zip(layers, widths, strict=False))
     result = np.empty((len(offset) - 1, 2 * widths[-1]), np.float32)
-    take_threads(len(order))
-    _through(
+    set_threads(len(order))
+    _forward(
         as_array(features),
         order.numpy(),
         offset.numpy(),
         np.array(widths),
-        np.concatenate([weight.ravel() for weight in own]),
-        np.concatenate([weight.ravel() for weight in shared]),
+        np.concatenate([padded(weight[:, :width]).ravel() for (weight, _), width in pairs]),
+        np.concatenate([padded(weight[:, width:]).ravel() for (weight, _), width in pairs]),
         as_array(torch.cat([bias for _, bias in layers])),
         result,
     )
@@ -59,29 +57,28 @@ def cell_means(
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _through(
+def _forward(
     features: Any, order: Any, offset: Any, widths: Any, own: Any, shared: Any, biases: Any,
     result: Any,
 ) -> None:  # fmt: skip
-    """`cell_means` with the layers' weights and biases one after another's."""
-    # Of the last layer only the means are kept.
+    """Write `voxel_means`; the weights and biases of the layers are concatenated."""
+    # Only means are kept of the last layer, so it may be wider than the buffers of particles.
     cells, layers = len(result), len(widths) - 1
     widest: Any = rounded_up(widths[:-1].max(), UNITS)
     for block in prange((len(order) + _PARTICLES - 1) // _PARTICLES):
-        # Of the cells that begin in the block, all particles.
+        # All particles of the cells that begin in the block.
         first: Any = np.searchsorted(offset[:cells], block * _PARTICLES)
         last: Any = np.searchsorted(offset[:cells], (block + 1) * _PARTICLES)
         if first == last:
             continue
         begin = offset[first : last + 1] - offset[first]
         rows = order[offset[first] : offset[last]]
-        # Not a power of two from row to row, as those share few places in the cache.
-        wide = rounded_up(len(rows), LANES) | LANES
+        wide = row_length(len(rows))
         columns, out = np.zeros((widest, wide), np.float32), np.zeros((widest, wide), np.float32)
-        few = rounded_up(last - first, LANES) | LANES
+        few = row_length(last - first)
         most = max(widest, widths[-1])
         means, next_means = np.zeros((most, few), np.float32), np.zeros((most, few), np.float32)
-        of_cells = np.empty(few, np.float32)
+        per_cell = np.empty(few, np.float32)
         for i in range(len(rows)):
             for unit in range(widths[0]):
                 columns[unit, i] = features[rows[i], unit]
@@ -89,20 +86,20 @@ def _through(
         for layer in range(layers):
             inputs, filled = rounded_up(widths[layer], UNITS), widths[layer + 1]
             for unit in range(filled):
-                of_cells[:] = biases[bias]
+                per_cell[:] = biases[bias]
                 if layer > 0:
-                    add_units(shared[at_shared : at_shared + inputs], means, of_cells)
+                    add_units(shared[at_shared : at_shared + inputs], means, per_cell)
                     at_shared += inputs
                 values = out[unit if layer < layers - 1 else 0]
                 for c in range(last - first):
-                    values[begin[c] : begin[c + 1]] = of_cells[c]
+                    values[begin[c] : begin[c + 1]] = per_cell[c]
                 add_units(own[at : at + inputs], columns, values)
-                squash(values)
+                apply_tanh(values)
                 for c in range(last - first):
                     next_means[unit, c] = mean(values[begin[c] : begin[c + 1]])
                 at += inputs
                 bias += 1
-            # What fills up the next layer's inputs is zero, or nothing times infinity were NaN.
+            # Padding of the next layer's inputs is zero: its weight 0 times infinity would be NaN.
             out[filled : min(rounded_up(filled, UNITS), widest)] = 0
             next_means[filled : rounded_up(filled, UNITS)] = 0
             columns, out = out, columns
