@@ -29,10 +29,8 @@ class RunSummary(Callback):
         self._folder = results_folder(trainer) if measures else run_folder(trainer)
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        samples = {
-            "training sample": trainer.train_dataloader,
-            "validation sample": trainer.val_dataloaders,
-        }
+        loaders = {"training": trainer.train_dataloader, "validation": trainer.val_dataloaders}
+        samples = {f"{name} sample": loader for name, loader in loaders.items()}
         self._print(trainer, pl_module, samples)
 
     def on_validation_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
@@ -50,10 +48,9 @@ class RunSummary(Callback):
             return
         data: Any = getattr(trainer, "datamodule", None)
         counts = [_count(len(loader.dataset), unit) for unit, loader in loaders.items() if loader]
-        facts = [*counts, f"time step {1000 * data.time_step:g} ms"]
         lines = {
             "device": _device(trainer),
-            "data": f"{data.root}: {', '.join(facts)}",
+            "data": f"{data.root}: {', '.join(counts)}, time step {1000 * data.time_step:g} ms",
             **_model(module, trainer.ckpt_path),
             "results": str(self._folder),
         }

@@ -171,8 +171,7 @@ class Study:
             trial = Trial(solver, options, dam.particles, states)
             result = self._measure(trial, partial(measure_solver, dam, solver, frames))
             rows.append((trial, result))
-            if self.report.rows:
-                self.report.write(self.folder)
+            self.report.write(self.folder)
         if not states.exists():
             dam.write_start(states, frames, options.time_step)
         return states

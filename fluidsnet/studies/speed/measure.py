@@ -37,13 +37,9 @@ STAGES = ("sort", "search", "search + local", "local", "voxel", "global", "head"
 
 
 def load_model(options: SpeedOptions, neighbors: str) -> Model:
-    """Return the network of the options in evaluation mode, with the given neighbor search.
+    """Return the network of the options in evaluation mode, with a class of neighbor search.
 
     Without a run its weights are random, and without a config it is the paper's.
-
-    Args:
-        options: Names the network.
-        neighbors: Name of a class of `fluidsnet.neighbors`.
 
     Raises:
         UserError: A file is missing or not valid, or the run was trained at another time step.
@@ -115,8 +111,7 @@ class _Bench:
         with torch.no_grad(), self.autocast():
             after = self.model.step((self.states[-1] if state is None else state).to(self.device))
             after.position.cpu()
-            velocity: Tensor = after.velocity.cpu()
-            return velocity
+            return after.velocity.cpu()
 
     def search(self) -> Any:
         """Return the edges of the state."""
@@ -124,7 +119,7 @@ class _Bench:
             neighbors = self.model.network.neighbors(self.states[-1].to(self.device))
             if self.device.type == "cuda":
                 torch.cuda.synchronize(self.device)
-            return neighbors
+        return neighbors
 
     def measure_step(self) -> Result:
         """Measure time, stages, memory and error of a step, and the time of a search."""

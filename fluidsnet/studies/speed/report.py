@@ -48,23 +48,21 @@ class Report:
         warnings = []
         if self.busy_before > BUSY:
             warnings.append(
-                f"the machine was busy before the first measurement: others took "
-                f"{self.busy_before:.1f} cores."
+                f"before the first measurement: others took {self.busy_before:.1f} cores."
             )
         if self.floors and self.cores.others > BUSY:
             warnings.append(
-                f"the machine was busy while its cores were measured: others took "
-                f"{self.cores.others:.1f} cores; do not trust the floor."
+                f"while its cores were measured: others took {self.cores.others:.1f} cores; "
+                "do not trust the floor."
             )
         measured = [*self.rows, *self.batches]
         busy = {trial.name: result.others for trial, result in measured if result.others > BUSY}
         if busy:
             warnings.append(
-                f"the machine was busy during {len(busy)} of {len(measured)} measurements, "
-                f"others took up to {max(busy.values()):.1f} cores; do not trust "
-                f"the times of: {'; '.join(busy)}."
+                f"during {len(busy)} of {len(measured)} measurements, others took up to "
+                f"{max(busy.values()):.1f} cores; do not trust the times of: {'; '.join(busy)}."
             )
-        return warnings
+        return [f"the machine was busy {warning}" for warning in warnings]
 
     def write(self, folder: Path) -> str:
         """Write ``speed.md``, ``speed.csv`` and ``speed.png``; return the Markdown."""

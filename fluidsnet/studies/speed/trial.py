@@ -85,44 +85,24 @@ class SpeedOptions:
             if not getattr(self, name) > 0:
                 raise UserError(f"--{name} is {getattr(self, name)}; it must be above zero.")
         steps = self.time_step / self.solver_step
-        checks = (
-            (
-                abs(steps - max(round(steps), 1)) < 1e-6,
+        if abs(steps - max(round(steps), 1)) > 1e-6:
+            raise UserError(
                 f"--time_step ({self.time_step} s) must be a whole number of solver steps "
-                f"(--solver_step {self.solver_step} s).",
-            ),
-            (
-                min(self.particles, default=0) >= 100,
-                "--particles takes numbers from 100 on, such as [1000,30000].",
-            ),
-            (
-                1 <= self.threads <= cores(),
-                f"--threads is {self.threads}; this process can use 1 to {cores()} cores.",
-            ),
-            (
-                self.batch >= 0,
-                f"--batch is {self.batch}; give a number of frames, or 0 to skip it.",
-            ),
-            (
-                self.model is None or self.run is None,
-                "--model and --run both name a network; give only one of them.",
-            ),
-            (
-                self.neighbors and self.precision,
-                "--neighbors and --precision need at least one name each.",
-            ),
-            (
-                re.fullmatch(r"(cpu|cuda)(:\d+)?", self.device),
-                f"--device {self.device} cannot be measured; use cpu or cuda.",
-            ),
-            (
-                self.device.startswith("cpu") or torch.cuda.is_available(),
-                "--device cuda needs a CUDA GPU, and torch finds none; use cpu.",
-            ),
-        )
-        for is_valid, message in checks:
-            if not is_valid:
-                raise UserError(message)
+                f"(--solver_step {self.solver_step} s)."
+            )
+        if min(self.particles, default=0) < 100:
+            raise UserError("--particles takes numbers from 100 on, such as [1000,30000].")
+        if not 1 <= self.threads <= cores():
+            raise UserError(f"--threads is {self.threads}; this process can use {cores()} cores.")
+        if self.batch < 0:
+            raise UserError(f"--batch is {self.batch}; give a number of frames, or 0 for none.")
+        if self.model is not None and self.run is not None:
+            raise UserError("--model and --run both name a network; give only one of them.")
+        if not self.neighbors or not self.precision:
+            raise UserError("--neighbors and --precision need at least one name each.")
+        devices = r"cpu|cuda(:\d+)?" if torch.cuda.is_available() else "cpu"
+        if not re.fullmatch(devices, self.device):
+            raise UserError(f"--device {self.device}: use cpu, or cuda if torch finds a GPU.")
 
 
 @dataclass(frozen=True)
@@ -206,10 +186,9 @@ class Result:
 
 
 def run_trial(trial: Trial) -> Result:
-    """Measure in a fresh process, so that its peak memory is that of the trial alone.
+    """Measure in a fresh process; return a failure if it crashed or ran out of time.
 
-    Returns:
-        The result, or a failure where the process crashed or ran out of time.
+    The peak memory of the process is that of the trial alone.
     """
     options = trial.options
     try:
@@ -234,14 +213,7 @@ def run_trial(trial: Trial) -> Result:
 
 
 def measure_solver(dam: Dam, solver: SolverName, frames: int, trial: Trial) -> Result:
-    """Time the frames of a solver.
-
-    Args:
-        dam: Scene.
-        solver: Pressure solver.
-        frames: Number of frames after the start.
-        trial: Its options, and where to keep the simulation unless this file exists.
-    """
+    """Time the frames of a solver after the start; keep them as the trial's states if new."""
     options, folder = trial.options, trial.states.parent / solver
     recipe = dam.recipe(solver, frames, options.time_step, options.solver_step)
     try:
