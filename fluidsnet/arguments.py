@@ -10,22 +10,8 @@ from typing import Any
 
 import yaml
 
-from fluidsnet.deprecated import DeprecatedNames
 from fluidsnet.errors import UserError
 from fluidsnet.models.loading import checkpoint_path
-
-
-def rewrite(arguments: list[str], names: DeprecatedNames) -> list[str]:
-    """Return the arguments that LightningCLI parses.
-
-    Args:
-        arguments: Command and its options, as typed.
-        names: Replaces deprecated names and collects them.
-
-    Raises:
-        UserError: The folder of ``--run`` or a file of ``base:`` cannot be used.
-    """
-    return names.in_arguments(with_base(with_run(arguments)))
 
 
 def with_run(arguments: list[str]) -> list[str]:

@@ -30,13 +30,7 @@ def training_costs(
 ) -> dict[str, dict[str, float]]:
     """Measure training steps of copies of the models, in turns, so that load affects all alike.
 
-    The models and the random state are not changed.
-
-    Args:
-        models: Models by name.
-        batch: Batch of the steps, on the models' device.
-        optimizer: Builds the optimizer from weights.
-        precision: Lightning's precision plugin of the run.
+    The models and the random state are not changed. The batch is on the models' device.
 
     Returns:
         For each model ``step_seconds``, the median time of forward and backward pass with

@@ -38,13 +38,6 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-def device_name(device: str) -> str:
-    """Return the name of a device."""
-    if torch.device(device).type == "cuda":
-        return torch.cuda.get_device_name(torch.device(device))
-    return device
-
-
 def versions() -> str:
     """Return the versions of Python, of the packages that affect speed, and of the solver."""
     names = [f"Python {platform.python_version()}", f"torch {torch.__version__}"]

@@ -12,10 +12,12 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+import torch
+
 from datamodules.generate.solver import load_solver
 from fluidsnet.progress import Progress
 from fluidsnet.studies.dam_break import Dam
-from fluidsnet.studies.machine import BUSY, OtherLoad, cpu_model, device_name, versions
+from fluidsnet.studies.machine import BUSY, OtherLoad, cpu_model, versions
 from fluidsnet.studies.parser import study_parser
 from fluidsnet.studies.speed.floor import step_floor
 from fluidsnet.studies.speed.measure import load_model
@@ -132,21 +134,18 @@ class Study:
         reference = Trial("reference", self.options, particles, states, "CellListCPU")
         self._progress.set_description(reference.name)
         if failure := run_trial(reference).failure:
-            name = f"{particles:,} particles"
-            self._note(f"{name}: the reference failed, so errors are missing: {failure}")
+            self._note(f"{reference.name} failed, so errors are missing: {failure}")
         self._progress.update()
         results = []
         for trial in self._steps(particles, states):
             results.append(self._measure_step(trial))
             report.rows.append((trial, results[-1]))
             report.write(self.folder)
-        edges = next((result.edges for result in results if result.edges is not None), None)
-        step = next((median(result.step) for result in results if result.step), None)
-        if edges is not None and step is not None:
-            least = step_floor(self.network, particles, edges)
-            if least is not None:
-                report.floors[particles] = {**least, "step": step}
-                report.write(self.folder)
+        measured = next((result for result in results if result.edges is not None), None)
+        floor = measured and step_floor(self.network, particles, measured.edges or 0.0)
+        if measured and floor:
+            report.floors[particles] = {**floor, "step": median(measured.step)}
+            report.write(self.folder)
         reference.reference.unlink(missing_ok=True)
         states.unlink()
 
@@ -196,9 +195,11 @@ class Study:
         options = self.options
         name = options.run or options.model or "the paper's network"
         step = f"{1000 * options.time_step:g} ms"
+        cuda = options.device.startswith("cuda")
+        device = torch.cuda.get_device_name(options.device) if cuda else options.device
         return [
             f"{datetime.now():%Y-%m-%d}, {cpu_model()}, {options.threads} threads each for network "
-            f"and solver; network on {device_name(options.device)}",
+            f"and solver; network on {device}",
             versions(),
             f"network: {name}, {'trained' if options.run else 'random'} weights, "
             f"k = {self.network.neighbors.k}, {step} a step, all copies and the search included",

@@ -40,13 +40,9 @@ def step_floor(network: Network, particles: int, edges: float) -> dict[str, floa
     are those of the layers, with the first layer of the edge network applied to particles in
     place of edges. The neighbor search is not counted. `docs/speed.md` has the derivation.
 
-    Args:
-        network: Network with the paper's local feature and global vector.
-        particles: Number of fluid particles.
-        edges: Mean number of neighbors of a particle.
-
     Returns:
-        `bytes` and `operations`; None for other networks.
+        `bytes` and `operations` for a number of particles with a mean number of neighbors
+        (`edges`); None for a network without the paper's local feature and global vector.
     """
     local, vector, inputs = network.local, network.global_feature, network.inputs.width
     if not (isinstance(local, NeighborMean) and isinstance(vector, GlobalVector)):

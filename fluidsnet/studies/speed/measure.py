@@ -8,7 +8,6 @@ import resource
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +76,9 @@ def measure(trial: Trial) -> Result:
         with kernels.disabled():
             np.save(trial.reference, bench.step().numpy())
         return Result()
-    return bench.measure_batch() if trial.kind == "batch" else bench.measure_step()
+    result = bench.measure_batch() if trial.kind == "batch" else bench.measure_step()
+    result.solids = len(bench.states[-1].solid_position)
+    return result
 
 
 class _Bench:
@@ -134,18 +135,13 @@ class _Bench:
             stages=self._stages(3),
             peak=peak.bytes,
             error=_error(velocity, trial.reference),
-            solids=len(self.states[-1].solid_position),
         )
-        if trial.precision != "float32" or trial.compile:
-            # Neither changes the search.
-            return result
-        neighbors = self.search()
-        remaining = options.seconds - (time.perf_counter() - began)
-        return replace(
-            result,
-            search=_repeat(self.search, options.repeats, max(remaining, 0.0)),
-            edges=len(neighbors.particle) / len(self.states[-1]),
-        )
+        # The search does not depend on precision and compilation.
+        if trial.precision == "float32" and not trial.compile:
+            result.edges = len(self.search().particle) / len(self.states[-1])
+            remaining = options.seconds - (time.perf_counter() - began)
+            result.search = _repeat(self.search, options.repeats, remaining)
+        return result
 
     def measure_batch(self) -> Result:
         """Measure time and memory of all states predicted at once."""
@@ -161,8 +157,7 @@ class _Bench:
         seconds = _repeat(work, options.repeats, options.seconds)
         with PeakMemory(self.device) as peak:
             work()
-        solids = len(self.states[-1].solid_position)
-        return Result(step=seconds, batches=predict.batches, peak=peak.bytes, solids=solids)
+        return Result(step=seconds, batches=predict.batches, peak=peak.bytes)
 
     def _stages(self, repeats: int) -> dict[str, float]:
         """Return the median time of each stage under the profiler, s."""
@@ -211,10 +206,9 @@ def main() -> None:
     trial: Trial = pickle.load(sys.stdin.buffer)
     if sys.platform == "linux" and trial.options.device == "cpu":
         # Lets an allocation beyond the free memory fail before the machine runs out of it.
+        _, hard = resource.getrlimit(resource.RLIMIT_DATA)
         limit = int(0.9 * free_bytes(torch.device("cpu")))
-        resource.setrlimit(
-            resource.RLIMIT_DATA, (limit, resource.getrlimit(resource.RLIMIT_DATA)[1])
-        )
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
     try:
         result = measure(trial)
     except UserError as error:

@@ -148,7 +148,6 @@ def draw(table: pd.DataFrame, path: Path) -> None:
     figure = Figure(figsize=(8.0, 5.5), layout="constrained")
     axes = figure.add_subplot()
     for index, (label, lines) in enumerate(measured.groupby("label", sort=False)):
-        lines = lines.sort_values("fluid particles")
         middle, least, most = (
             lines[f"step{part} s"] / lines["time step s"] for part in ("", " least", " most")
         )
@@ -158,18 +157,14 @@ def draw(table: pd.DataFrame, path: Path) -> None:
             middle,
             yerr=[middle - least, most - middle],
             label=str(label),
-            color="black" if solver else f"C{index % 10}",
+            color="black" if solver else f"C{index}",
             linestyle="--" if solver else "-",
             marker="os^Dv*xP+<>"[index % 11],
             markersize=4,
             capsize=2,
             linewidth=1.2,
         )
-    axes.axhline(1.0, color="gray", linewidth=0.8)
-    axes.text(
-        0.99, 0.95, "real time", color="gray", ha="right", va="top",
-        transform=axes.get_yaxis_transform(),
-    )  # fmt: skip
+    axes.axhline(1.0, color="gray", linewidth=0.8, label="real time")
     axes.set(
         xscale="log", yscale="log", xlabel="fluid particles", ylabel="seconds per simulated second"
     )
