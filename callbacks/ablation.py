@@ -26,7 +26,7 @@ _CHARTS = ("train_loss", "velocity_mse", "skill", "position_error_1_mm")
 
 
 class Ablation(Callback, ChartSource):
-    """Train, beside the model, a twin in which one block is another.
+    """Train a twin of the model that differs in one block beside it.
 
     Both start from the same weights where these correspond, get the same batches with the same
     noise, and have their gradients clipped apart. The model trains bit for bit as it would

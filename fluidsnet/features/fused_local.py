@@ -30,7 +30,7 @@ def fused_local(
         isinstance(search, CellListCPU)
         and isinstance(local, NeighborMean)
         and isinstance(inputs, ParticleState)
-        and use_kernel(particles.position, particles.velocity)
+        and use_kernel(local, particles.position, particles.velocity)
     ):
         return None
     with record_function("sort"):

@@ -90,7 +90,7 @@ class GlobalVector(GlobalFeature):
         channels = self.voxel.width
         self.stack = nn.ModuleList(
             nn.Conv3d(channels, channels, kernel, kernel, groups=channels if separable else 1)
-            for kernel in kernels(grid_shape)
+            for kernel in kernel_shapes(grid_shape)
         )
         self.reduce = nn.Sequential(
             *(
@@ -127,7 +127,7 @@ class GlobalVector(GlobalFeature):
         grid = grid.index_copy(0, occupied.cell, voxels.to(grid.dtype))
         volume = grid.view(frames, *self.grid_shape, -1).permute(0, 4, 1, 2, 3)
         with float32_on_cpu(volume):
-            for convolution, kernel in zip(self.stack, kernels(self.grid_shape), strict=True):
+            for convolution, kernel in zip(self.stack, kernel_shapes(self.grid_shape), strict=True):
                 volume = torch.tanh(convolution(_padded(volume, kernel)))
         vectors: Tensor = self.reduce(volume.flatten(1))
         return vectors
@@ -140,7 +140,7 @@ class GlobalVector(GlobalFeature):
         return self.empty.repeat(frames, 1)
 
 
-def kernels(grid_shape: GridShape) -> list[GridShape]:
+def kernel_shapes(grid_shape: GridShape) -> list[GridShape]:
     """Return the kernels, equal to the strides, that shrink a grid to one cell.
 
     Along each axis they are the 2s and 3s, ascending, with the smallest product that is not

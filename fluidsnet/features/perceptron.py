@@ -40,7 +40,7 @@ class Perceptron(nn.ModuleList):
             own: (N, A).
             shared: (N, B); one row may be expanded to all.
         """
-        if use_kernel(own):
+        if use_kernel(self, own, shared):
             return perceptron(own, shared, linear_layers(self))
         rows = torch.cat([own, shared], dim=1)
         for layer in self:

@@ -125,7 +125,7 @@ class VoxelFeature(nn.Module):
 
     def forward(self, features: Tensor, cells: OccupiedVoxels) -> Tensor:
         """Return (C, width) for features (N, inputs) of the particles."""
-        if not self.training and use_kernel(features):
+        if not self.training and use_kernel(self, features):
             layers = [layer.folded() for layer in self.layers]  # type: ignore[operator]
             return voxel_means(features, cells.order, cells.offset, layers)
         own = features.index_select(0, cells.order)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+
+from torch import Tensor
 
 from fluidsnet.metrics.suite import BASELINES, RolloutResults
 from fluidsnet.particles import RolloutStarts
 from fluidsnet.reporting.rollout_scalars import logged_steps
-from fluidsnet.reporting.table import Cell, write_table
+from fluidsnet.reporting.table import Cell, markdown, write_table
 
 # Name of the metric, header of its column, and factor of its unit.
 _COLUMNS = (
@@ -25,6 +28,15 @@ _COLUMNS = (
     ("escaped", "escaped %", 100),
     ("non_finite", "non-finite %", 100),
 )
+# Columns that fit a terminal: header, predictor (None is the row's), metric and factor.
+_PRINTED = (
+    ("error mm", None, "position_error_mm", 1),
+    ("constant velocity mm", "constant_velocity", "position_error_mm", 1),
+    ("ballistic mm", "ballistic", "position_error_mm", 1),
+    ("chamfer mm", None, "chamfer_mm", 1),
+    ("energy error %", None, "kinetic_energy", 100),
+    ("escaped %", None, "escaped", 100),
+)
 
 
 def write_rollout_metrics(
@@ -39,7 +51,8 @@ def write_rollout_metrics(
         time_step: s.
 
     Returns:
-        Markdown of the models' rows, and a line for each rollout that became non-finite.
+        Markdown of the models' rows with fewer columns, and a line for each rollout that became
+        non-finite.
     """
     steps = logged_steps(results)
     rows: list[list[Cell]] = []
@@ -47,14 +60,22 @@ def write_rollout_metrics(
         for step in steps:
             simulations = int(results["model"]["simulations"][step - 1])
             row: list[Cell] = [predictor.replace("_", " "), step, step * time_step, simulations]
-            for name, _, factor in _COLUMNS:
-                value = factor * float(metrics[name][step - 1]) if name in metrics else float("nan")
-                # NaN was not measured; non-finite states are measured as inf.
-                row.append("" if value != value else value)
+            row += [_cell(metrics, name, step, factor) for name, _, factor in _COLUMNS]
             rows.append(row)
     header = ("predictor", "steps", "time s", "simulations", *(title for _, title, _ in _COLUMNS))
-    lines = write_table(path, header, rows).splitlines()
+    write_table(path, header, rows)
     models = [predictor for predictor in results if predictor not in BASELINES]
+    printed: list[list[Cell]] = [
+        [
+            model.replace("_", " "),
+            step,
+            step * time_step,
+            *(_cell(results[of or model], name, step, unit) for _, of, name, unit in _PRINTED),
+        ]
+        for model in models
+        for step in steps
+    ]
+    table = markdown(("predictor", "steps", "time s", *(title for title, *_ in _PRINTED)), printed)
     broken = [
         f"{'The model' if model == 'model' else model.replace('_', ' ')}'s rollout of /{name} from "
         f"frame {frame} is not finite from step {step:.0f} on."
@@ -66,4 +87,10 @@ def write_rollout_metrics(
     ]
     with path.with_suffix(".md").open("a", encoding="utf-8") as file:
         file.writelines(f"\n{line}\n" for line in broken)
-    return "\n".join([*lines[: 2 + len(steps) * len(models)], *broken])
+    return "\n".join([table.rstrip(), *broken])
+
+
+def _cell(metrics: Mapping[str, Tensor], name: str, step: int, factor: float) -> Cell:
+    """Return a metric after a step; empty where it was not measured (NaN)."""
+    value = factor * float(metrics[name][step - 1]) if name in metrics else float("nan")
+    return "" if value != value else value
