@@ -16,6 +16,7 @@ from typing import Any
 
 import h5py
 import lightning
+import pandas as pd
 import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -23,11 +24,11 @@ from torch.utils.tensorboard import SummaryWriter
 
 from fluidsnet.errors import UserError
 from fluidsnet.main import main
-from fluidsnet.report.curves import Line, draw
 from fluidsnet.report.events import read_event_file, read_history
-from fluidsnet.report.run import names, read_runs
-from fluidsnet.report.settings import changed, differing, flat, shipped
-from fluidsnet.report.tables import frame, read_table, shown, side_by_side
+from fluidsnet.report.run import flat, names, read_runs
+from fluidsnet.report.settings import changed, differing, shipped
+from fluidsnet.report.tables import read_table, shown, side_by_side
+from fluidsnet.report.training import Line, draw
 from fluidsnet.reporting.results import DATA_FILE, RESULTS, results_folders
 from fluidsnet.reporting.table import write_table
 
@@ -333,8 +334,8 @@ def test_a_file_that_ends_within_a_record_is_told_from_a_damaged_one(left: int, 
 
 def test_settings_are_compared_with_what_is_shipped() -> None:
     base = shipped()
-    assert base["model.target"].value == "VelocityTarget"
-    assert changed(base, base) is None
+    assert base["model.target"] == "VelocityTarget"
+    assert changed({"a": base}, base).empty
     run = flat(
         {
             "seed_everything": 0,
@@ -353,9 +354,7 @@ def test_settings_are_compared_with_what_is_shipped() -> None:
             "trainer": {"callbacks": [{"class_path": "callbacks.OneStepTable"}], "max_epochs": 3},
         }
     )  # fmt: skip
-    grid = changed(run, base)
-    assert grid is not None
-    found = {row[0]: tuple(row[1:]) for row in grid.to_numpy().tolist()}
+    found = {row[0]: tuple(row[1:]) for row in changed({"a": run}, base).to_numpy().tolist()}
     assert found["model.local.width"] == ("11", "9")
     assert found["model.target"] == ("DisplacementTarget", "VelocityTarget")
     assert found["model.walls"] == ("Walls", "OpenWalls")
@@ -364,7 +363,7 @@ def test_settings_are_compared_with_what_is_shipped() -> None:
     assert found["trainer.callbacks.RolloutMetrics"] == ("–", "RolloutMetrics")
     assert found["trainer.max_epochs"] == ("3", "-1")
     assert "model.head" not in found and "trainer.callbacks.OneStepTable" not in found
-    assert differing({"a": run, "b": run}) is None
+    assert differing({"a": run, "b": run}).empty
 
 
 def test_a_run_says_what_it_changed_and_what_its_data_are(runs: Path, tmp_path: Path) -> None:
@@ -697,8 +696,8 @@ def test_runs_have_the_shortest_names_that_tell_them_apart() -> None:
 
 def test_columns_that_agree_stand_once() -> None:
     header = ("steps", "model", "still")
-    one = frame(header, ((1, 0.5, 2.0), (5, 0.75, 3.0)))
-    other = frame(header, ((1, 0.5, 2.00001), (2, 1.0, 2.5), (5, 4.0, 3.0)))
+    cells = [(1, 0.5, 2.0), (5, 0.75, 3.0)], [(1, 0.5, 2.00001), (2, 1.0, 2.5), (5, 4.0, 3.0)]
+    one, other = (pd.DataFrame(it, columns=header, dtype=object) for it in cells)
     assert side_by_side({"a": one}) is one
     joined = side_by_side({"a": one, "b": other.iloc[::2]})
     assert [*joined.columns] == ["steps", "model, a", "model, b", "still"]

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser
-from collections.abc import Sequence
 from pathlib import Path
 
 from fluidsnet.errors import UserError
-from fluidsnet.report.data import data_section
-from fluidsnet.report.document import Document, Note, Section, write_report
 from fluidsnet.report.events import PATTERN
-from fluidsnet.report.results import glance_section, result_sections
-from fluidsnet.report.run import CONFIG, Run, group_results, read_runs
-from fluidsnet.report.settings import settings_section
-from fluidsnet.report.training import ablation_section, training_section
+from fluidsnet.report.page import Note, write_report
+from fluidsnet.report.results import glance, result_sections
+from fluidsnet.report.run import CONFIG, group_results, read_runs
+from fluidsnet.report.settings import data, settings
+from fluidsnet.report.training import ablations, training
 
 
 def report_command(arguments: list[str]) -> None:
@@ -25,10 +23,8 @@ def report_command(arguments: list[str]) -> None:
     """
     parser = ArgumentParser(
         prog="fluidsnet report",
-        description=(
-            "Write a report on runs: one HTML page without further files, and its tables as "
-            "Markdown and CSV. Several runs are set side by side."
-        ),
+        description="Write a report on runs: one HTML page without further files, and its tables "
+        "as Markdown and CSV. Several runs are set side by side.",
     )
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="such as runs/demo")
     parser.add_argument(
@@ -39,15 +35,30 @@ def report_command(arguments: list[str]) -> None:
     )
     options = parser.parse_args(arguments)
     runs = read_runs(options.runs)
+    groups = group_results(runs)
+    sections = {
+        "At a glance": glance(runs, groups),
+        **result_sections(runs, groups),
+        "Training": training(runs),
+        "Ablations": ablations(runs, groups),
+        "Configuration": settings(runs),
+        "Data": data(runs),
+        "Files not read in full": (
+            Note(f"{run.name}: {sentence}") for run in runs for sentence in run.unread
+        ),
+    }
+    folders = ", ".join(str(run.folder) for run in runs)
+    lead = f"{len(runs)} runs side by side: {folders}." if len(runs) > 1 else f"From {folders}."
+    title = f"FluidsNet: {', '.join(run.name for run in runs)}"
     first: Path = options.runs[0]
-    folder: Path = options.output or (first if len(runs) == 1 else _parent(first)) / "report"
-    document = _document(runs)
+    if len(runs) > 1:
+        # The paths . and .. name no parent.
+        first = (first.resolve() if first.name in ("", "..") else first).parent
+    folder: Path = options.output or first / "report"
     try:
         if (folder / CONFIG).exists() or any(folder.glob(PATTERN)):
             raise UserError(f"{folder} is the folder of a run; choose another --output.")
-        if folder.exists() and not folder.is_dir():
-            raise UserError(f"{folder} is a file; --output names a folder.")
-        page = write_report(document, folder)
+        page = write_report(folder, title, lead, sections)
     except OSError as error:
         path = error.filename or folder
         raise UserError(
@@ -55,26 +66,3 @@ def report_command(arguments: list[str]) -> None:
         ) from error
     print(page)
     print(f"{folder}/report.md and *.csv hold the same tables.")
-
-
-def _document(runs: Sequence[Run]) -> Document:
-    groups = group_results(runs)
-    sections = [
-        glance_section(runs, groups),
-        *result_sections(runs, groups),
-        training_section(runs),
-        ablation_section(runs, groups),
-        settings_section(runs),
-        data_section(runs),
-    ]
-    unread = [Note(f"{run.name}: {sentence}") for run in runs for sentence in run.unread]
-    if unread:
-        sections.append(Section("Files not read in full", [*unread]))
-    folders = ", ".join(str(run.folder) for run in runs)
-    lead = f"{len(runs)} runs side by side: {folders}." if len(runs) > 1 else f"From {folders}."
-    return Document(f"FluidsNet: {', '.join(run.name for run in runs)}", lead, sections)
-
-
-def _parent(folder: Path) -> Path:
-    """Return the parent folder, also of the paths ``.`` and ``..``."""
-    return (folder.resolve() if folder.name in ("", "..") else folder).parent

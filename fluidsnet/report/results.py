@@ -2,53 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
+import hashlib
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import pandas as pd
 
 from fluidsnet.baselines import TRIVIAL_PREDICTORS
-from fluidsnet.report.data import measured_notes
-from fluidsnet.report.document import Note, Part, Picture, Section, Table
+from fluidsnet.report.page import Figure, Note, Part, Table
 from fluidsnet.report.run import PREDICTED, ROLLED, TABLES, Group, Results, Run
-from fluidsnet.report.tables import NONE, frame, same, side_by_side
+from fluidsnet.report.tables import NONE, same, side_by_side
 from fluidsnet.report.training import best_of
 from fluidsnet.reporting.table import Cell
 
 _PICTURES = {
-    "ablation.png": "The truth and every model against time; the lighter a particle, the faster",
-    "rollout.png": "Truth and prediction side by side; the lighter a particle, the faster",
+    "ablation": "The truth and every model against time; the lighter a particle, the faster",
+    "rollout": "Truth and prediction side by side; the lighter a particle, the faster",
 }
-_TRIVIAL = tuple(name.replace("_", " ") for name in TRIVIAL_PREDICTORS)
-#: Runs and their results on the data of a group.
-_Members = Sequence[tuple[Run, Results]]
+_TRIVIAL = [name.replace("_", " ") for name in TRIVIAL_PREDICTORS]
+#: Figures at a glance: table and column.
+_GLANCE = {
+    "test: skill": ("one_step", "skill"),
+    "test: position_error_1 mm": ("one_step", "position_error_1 mm"),
+    "rollout: steps": (ROLLED, "steps"),
+    "rollout: position error mm": (ROLLED, "position_error mm"),
+    "rollout: escaped %": (ROLLED, "escaped %"),
+}
+#: Notes on the data that are shown only where they differ.
+_DEFAULTS: dict[str, Any] = {"frame_range": [0, None], "sample_every": 1}
 
 
-def glance_section(runs: Sequence[Run], groups: Sequence[Group]) -> Section:
-    """Build the table of a few figures of each run."""
-    columns = [_figures(run, groups) for run in runs]
-    rows = [
-        (figure, *(column[figure] for column in columns))
-        for figure in columns[0]
-        if any(column[figure] != NONE for column in columns)
-    ]
-    if not rows:
-        return Section("At a glance", [Note("No figures were logged.", missing=True)])
-    table = frame(("figure", *(run.name for run in runs)), rows)
-    return Section("At a glance", [Table("glance", "The model in a few numbers", table)])
+def glance(runs: Sequence[Run], groups: Sequence[Group]) -> Iterator[Part]:
+    """Yield the table of a few figures of each run."""
+    figures = [_figures(run, groups) for run in runs]
+    table = pd.DataFrame(figures, [run.name for run in runs], dtype=object).T
+    table = table[(table != NONE).any(axis="columns")]
+    table = table.reset_index(names="figure", allow_duplicates=True)
+    if table.empty:
+        yield Note("No figures were logged.", missing=True)
+    else:
+        yield Table("glance", "The model in a few numbers", table)
 
 
-def result_sections(runs: Sequence[Run], groups: Sequence[Group]) -> list[Section]:
-    """Build three sections for each data set."""
-    sections = []
+def result_sections(runs: Sequence[Run], groups: Sequence[Group]) -> dict[str, Iterator[Part]]:
+    """Return three sections for each data set."""
+    sections: dict[str, Iterator[Part]] = {}
     for group in groups:
-        members = [(run, group.results[run.name]) for run in runs if run.name in group.results]
-        parts: dict[str, list[Part]] = {
-            "One step ahead": [*measured_notes(runs, group), *_one_step(members, group)],
-            "Rollouts": _rollouts(members, group),
-            "Pictures": _pictures(members),
-        }
-        sections += [Section(group.named(title, ": "), found) for title, found in parts.items()]
+        sections[group.named("One step ahead", ": ")] = _one_step(runs, group)
+        sections[group.named("Rollouts", ": ")] = _rollouts(group)
+        sections[group.named("Pictures", ": ")] = _pictures(group)
     return sections
 
 
@@ -63,78 +65,108 @@ def _figures(run: Run, groups: Sequence[Group]) -> dict[str, Cell]:
         "at step": step,
     }
     for group in groups:
-        tables = group.results.get(run.name, Results()).tables
-        test, rollouts = tables.get("one_step"), tables.get(ROLLED, tables.get(PREDICTED))
-        figures = {
-            "test: skill": _last(test, "skill"),
-            "test: position_error_1 mm": _last(test, "position_error_1 mm"),
-            "rollout: steps": _last(rollouts, "steps"),
-            "rollout: position error mm": _last(rollouts, "position_error mm"),
-            "rollout: escaped %": _last(rollouts, "escaped %"),
-        }
-        found |= {group.named(name, ", "): value for name, value in figures.items()}
+        results = group.of(run)
+        tables = {**results.tables} if results else {}
+        if PREDICTED in tables:
+            tables.setdefault(ROLLED, tables[PREDICTED])
+        for figure, (name, column) in _GLANCE.items():
+            table = tables.get(name, pd.DataFrame([[""]]))
+            cells = table[table.iloc[:, 0] == "model"].get(column, ())
+            found[group.named(figure, ", ")] = [NONE, *cells][-1]
     return found
 
 
-def _last(table: pd.DataFrame | None, column: str) -> Cell:
-    """Return the model's last cell in a column."""
-    if table is None or column not in table:
-        return NONE
-    cells: list[Cell] = table.loc[table.iloc[:, 0] == "model", column].to_list()
-    return cells[-1] if cells else NONE
-
-
-def _one_step(members: _Members, group: Group) -> list[Part]:
-    parts = _joined(members, group, "one_step", "One step ahead from true states of the test split")
-    trivial = [
-        table[table.iloc[:, 0].isin(_TRIVIAL)].to_numpy().ravel().tolist()
-        for _, results in members
-        for table in [results.tables.get("one_step")]
-        if table is not None
-    ]
-    if not all(same(trivial[0], cells) for cells in trivial):
-        text = (
+def _one_step(runs: Sequence[Run], group: Group) -> Iterator[Part]:
+    for text in dict.fromkeys(_measured(runs, group)):
+        yield Note(text)
+    tables = group.tables("one_step")
+    if tables:
+        caption = "One step ahead from true states of the test split"
+        yield Table(group.named("one_step"), caption, side_by_side(tables))
+    rows = [table[table.iloc[:, 0].isin(_TRIVIAL)] for table in tables.values()]
+    cells = [table.to_numpy().ravel().tolist() for table in rows]
+    if not all(same(cells[0], others) for others in cells):
+        yield Note(
             "The trivial predictors differ from run to run: the runs were tested on other frames "
             "or at another time step, and their numbers must not be set beside each other."
         )
-        parts.append(Note(text))
-    return parts + _missing(members, "one_step")
+    yield from _missing(group, "one_step")
 
 
-def _rollouts(members: _Members, group: Group) -> list[Part]:
-    parts = _joined(members, group, "rollout", "Mean particle error of predict's rollouts")
-    parts += _missing(members, ROLLED) + _missing(members, PREDICTED)
-    further = {it for _, results in members for it in results.tables if it.startswith(ROLLED)}
-    for table in (ROLLED, *sorted(further - {ROLLED})):
-        parts += _rolled(members, group, table)
-    return parts
+def _measured(runs: Sequence[Run], group: Group) -> Iterator[str]:
+    """Yield sentences on the data that the results of a group were measured on."""
+    for run in runs:
+        results = group.of(run)
+        if results is None:
+            others = " and ".join(_files(it) or it.label for it in run.results)
+            yield f"{run.name} has no results on these data, but on {others}."
+        elif results.data:
+            yield from _data(results)
+        elif results.tables or results.pictures:
+            text = f"The data that {run.name} was measured on are not noted"
+            yield f"{text}, as in runs of older versions."
 
 
-def _rolled(members: _Members, group: Group, name: str) -> list[Part]:
-    """Build a table of every metric after the most common steps, and the full table, folded."""
-    full = [(run, it, it.tables[name]) for run, it in members if name in it.tables]
-    parts: list[Part] = []
-    steps = [
-        {step for step in table["steps"] if isinstance(step, int)}
-        if {"predictor", "steps"} <= {*table.columns}
-        else set[int]()
-        for _, _, table in full
+def _files(results: Results) -> str:
+    return ", ".join(map(str, results.files))
+
+
+def _data(results: Results) -> Iterator[str]:
+    data, run = results.data, results.run
+    digests = str(data.get("sha256")).split(", ")
+    parts = [
+        f"{name.replace('_', ' ')} {value}"
+        for name, value in data.items()
+        if name not in ("root", "file", "sha256", "time_step") and value != _DEFAULTS.get(name)
     ]
-    common = set.intersection(*steps) if steps else set()
-    if common:
+    if isinstance(data.get("time_step"), int | float):
+        parts.append(f"time step {1000 * data['time_step']:g} ms")
+    short = ", ".join(digest[:12] for digest in digests)
+    yield f"Measured on {_files(results)} (sha256 {short}): {', '.join(parts)}."
+    for path, digest in zip(results.files, digests, strict=False):
+        if path.is_file():
+            with path.open("rb") as file:
+                found = hashlib.file_digest(file, "sha256").hexdigest()
+            if found != digest:
+                text = f"{path} has changed since {run.name} was measured"
+                yield f"{text}: its sha256 is now {found[:12]}."
+    if "data.root" in run.settings and not results.on_training_data:
+        yield f"{run.name} was trained on other data: {run.settings['data.root']}."
+
+
+def _rollouts(group: Group) -> Iterator[Part]:
+    tables = group.tables("rollout")
+    if tables:
+        caption = "Mean particle error of predict's rollouts"
+        yield Table(group.named("rollout"), caption, side_by_side(tables))
+    yield from _missing(group, ROLLED)
+    yield from _missing(group, PREDICTED)
+    found = {it for results in group.members for it in results.tables if it.startswith(ROLLED)}
+    for name in sorted(found):
+        yield from _rolled(group, name)
+
+
+def _rolled(group: Group, name: str) -> Iterator[Part]:
+    """Yield a table of every metric after the most common steps, and the full table, folded."""
+    tables = group.tables(name)
+    steps = [
+        {step for step in table.get("steps", ()) if isinstance(step, int) and "predictor" in table}
+        for table in tables.values()
+    ]
+    if common := set.intersection(*steps):
         last = max(common)
-        tables = {run.name: _after(table, last) for run, _, table in full}
         # Name the runs where others have no such table.
-        whose = "" if len(full) == len(members) else f" of {', '.join(tables)}"
+        whose = "" if len(tables) == len(group.members) else f" of {', '.join(tables)}"
         caption = f"Every metric of {_rollouts_of(name)}{whose} after {last} steps"
-        title = group.named(f"{name}_after_{last}")
-        parts.append(Table(title, caption, side_by_side(tables)))
-    for run, results, table in full:
-        parts += [Note(sentence) for sentence in results.remarks[name]]
-        title = group.named(name if len(members) == 1 else f"{name}_{run.name}")
-        caption = f"Every metric of {run.name}{_which(name)} after each number of steps"
-        parts.append(Table(title, caption, table, folded=True))
-    return parts
+        after = side_by_side({run: _after(table, last) for run, table in tables.items()})
+        yield Table(group.named(f"{name}_after_{last}"), caption, after)
+    for results in group.members:
+        run = results.run.name
+        if run in tables:
+            yield from (Note(sentence) for sentence in results.remarks.get(name, ()))
+            title = group.named(name + results.run.suffix)
+            caption = f"Every metric of {run}{_which(name)} after each number of steps"
+            yield Table(title, caption, tables[run], folded=True)
 
 
 def _after(table: pd.DataFrame, steps: int) -> pd.DataFrame:
@@ -144,20 +176,17 @@ def _after(table: pd.DataFrame, steps: int) -> pd.DataFrame:
     return metrics.reset_index().astype(object)
 
 
-def _pictures(members: _Members) -> list[Part]:
-    parts: list[Part] = []
-    for run, results in members:
-        parts += [Picture(f"{run.name}: {_shows(path)}", path) for path in results.pictures]
+def _pictures(group: Group) -> Iterator[Part]:
+    for results in group.members:
+        for name, png in results.pictures.items():
+            caption = _PICTURES.get(name, name.replace("_", " "))
+            if name == ROLLED or name.startswith(f"{ROLLED}_"):
+                caption = f"Errors and energies of {_rollouts_of(name)} against time"
+            caption = f"{results.run.name}: {caption}"
+            yield Figure(caption, caption, png=png)
         if not results.pictures:
-            text = f"{run.name} has no pictures: {_command(run, results, 'predict')} draws one."
-            parts.append(Note(text, missing=True))
-    return parts
-
-
-def _shows(picture: Path) -> str:
-    if picture.stem == ROLLED or picture.stem.startswith(f"{ROLLED}_"):
-        return f"Errors and energies of {_rollouts_of(picture.stem)} against time"
-    return _PICTURES.get(picture.name, picture.stem.replace("_", " "))
+            text = f"{results.run.name} has no pictures: {_command(results, 'predict')} draws one."
+            yield Note(text, missing=True)
 
 
 def _rollouts_of(name: str) -> str:
@@ -170,21 +199,15 @@ def _which(name: str) -> str:
     return f" ({which})" if which else ""
 
 
-def _joined(members: _Members, group: Group, name: str, caption: str) -> list[Part]:
-    tables = {run.name: it.tables[name] for run, it in members if name in it.tables}
-    return [Table(group.named(name), caption, side_by_side(tables))] if tables else []
+def _missing(group: Group, name: str) -> Iterator[Part]:
+    for results in group.members:
+        if name not in results.tables:
+            text = f"{results.run.name} has no {name}.csv: {_command(results, TABLES[name])}"
+            yield Note(f"{text} writes it.", missing=True)
 
 
-def _missing(members: _Members, name: str) -> list[Part]:
-    return [
-        Note(f"{run.name} has no {name}.csv: {_command(run, it, TABLES[name])} writes it.", True)
-        for run, it in members
-        if name not in it.tables
-    ]
-
-
-def _command(run: Run, results: Results, name: str) -> str:
+def _command(results: Results, name: str) -> str:
     """Return the command that measures a run on the data of results."""
-    other = results.data and not run.trained_on(results)
+    other = results.data and not results.on_training_data
     data = f" --data.init_args.root {results.data['root']}" if other else ""
-    return f"fluidsnet {name} --run {run.folder}{data}"
+    return f"fluidsnet {name} --run {results.run.folder}{data}"

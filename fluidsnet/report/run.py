@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +16,7 @@ import yaml
 from fluidsnet.errors import UserError
 from fluidsnet.report.events import PATTERN, History, read_history
 from fluidsnet.report.tables import read_table, unique
-from fluidsnet.reporting.results import DATA_FILE, RESULTS, results_folders
+from fluidsnet.reporting.results import DATA_FILE, results_folders
 
 CONFIG = "config.yaml"
 #: Table of rollouts; those of `predict` and of a `RolloutMetrics` with a name append to it.
@@ -23,28 +25,43 @@ PREDICTED = f"{ROLLED}_predict"
 PERMUTED = "global_feature_permutation"
 #: Tables of results and the commands that write them.
 TABLES = {"one_step": "test", ROLLED: "test", PREDICTED: "predict", PERMUTED: "test"}
-#: Tables of old runs: file name and today's name.
-_OLD_TABLES = {"rollout": "rollout", "foreign_context": PERMUTED}
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
 @dataclass
+class Run:
+    """Contents of a run's folder."""
+
+    name: str  # short, unique in the report
+    folder: Path
+    history: History
+    prefix: str = ""  # of its labels, and suffix of its tables' names, among several runs
+    suffix: str = ""
+    config: str = ""  # text of the file; empty where it cannot be read
+    settings: dict[str, str] = field(default_factory=dict)
+    results: list[Results] = field(default_factory=list)  # those on the training data first
+    unread: list[str] = field(default_factory=list)  # a sentence for each damaged file
+
+    @contextmanager
+    def reading(self, path: Path) -> Iterator[None]:
+        """Add a sentence to `unread` if a file cannot be read."""
+        try:
+            yield
+        except (OSError, ValueError, yaml.YAMLError) as error:
+            reason = "it is not plain YAML" if isinstance(error, yaml.YAMLError) else error
+            self.unread.append(f"{path.relative_to(self.folder)} cannot be read: {reason}.")
+
+
+@dataclass
 class Results:
-    """Tables and pictures of a run on one data set.
+    """Tables and pictures of a run on one data set."""
 
-    Attributes:
-        label: Name of the results folder.
-        data: Contents of its `data.json`; empty where the data are not noted, as in old runs.
-        tables: Tables by name.
-        remarks: Sentences below a table in its Markdown file, by the table's name.
-        pictures: PNG files.
-    """
-
-    label: str = "data not noted"
-    data: dict[str, Any] = field(default_factory=dict)
+    run: Run
+    label: str = "data not noted"  # name of the results folder
+    data: dict[str, Any] = field(default_factory=dict)  # data.json; empty in old runs
     tables: dict[str, pd.DataFrame] = field(default_factory=dict)
-    remarks: dict[str, list[str]] = field(default_factory=dict)
-    pictures: list[Path] = field(default_factory=list)
+    remarks: dict[str, list[str]] = field(default_factory=dict)  # sentences below a table
+    pictures: dict[str, bytes] = field(default_factory=dict)  # PNG files
 
     @property
     def key(self) -> str:
@@ -58,66 +75,30 @@ class Results:
         return [Path(self.data["root"], name) for name in names] if self.data else []
 
     @property
-    def path(self) -> str:
-        """Data files for a reader."""
-        return ", ".join(map(str, self.files)) or self.label
-
-
-@dataclass
-class Run:
-    """Contents of a run's folder.
-
-    Attributes:
-        name: Short name, unique in the report.
-        folder: Folder of the run.
-        config: Configuration; None where there is none that can be read.
-        config_text: Text of the configuration's file.
-        history: Training curves.
-        results: Results on each data set, those on the data of the training first.
-        unread: A sentence for each file that is damaged or cannot be read.
-    """
-
-    name: str
-    folder: Path
-    config: dict[str, Any] | None = None
-    config_text: str = ""
-    history: History = field(default_factory=History)
-    results: list[Results] = field(default_factory=list)
-    unread: list[str] = field(default_factory=list)
-
-    @property
-    def data(self) -> dict[str, Any]:
-        """Settings of the data module."""
-        data = (self.config or {}).get("data")
-        settings = data.get("init_args", data) if isinstance(data, dict) else None
-        return settings if isinstance(settings, dict) else {}
-
-    @property
-    def tables(self) -> dict[str, pd.DataFrame]:
-        """Tables of the first results."""
-        return self.results[0].tables if self.results else {}
-
-    def trained_on(self, results: Results) -> bool:
-        """Return whether results are on the data folder that the run was trained on."""
-        roots = {str(Path(str(it.get("root"))).resolve()) for it in (self.data, results.data)}
-        return len(roots) == 1
+    def on_training_data(self) -> bool:
+        """True if the run was trained on the same data folder."""
+        trained_on = Path(self.run.settings.get("data.root", ""))
+        return trained_on.resolve() == Path(self.data.get("root", "")).resolve()
 
 
 @dataclass
 class Group:
-    """Results of runs on the same data.
+    """Results on the same data: of the runs that have some, and of those without any at all."""
 
-    Attributes:
-        label: Short name of the data; empty if the report has no other data.
-        results: By the name of the run; empty ones for runs without any results.
-    """
-
-    label: str
-    results: dict[str, Results]
+    label: str  # short name of the data; empty if the report has no other data
+    members: list[Results]
 
     def named(self, title: str, separator: str = "_") -> str:
         """Return a title with the label behind it."""
         return f"{title}{separator}{self.label}" if self.label else title
+
+    def of(self, run: Run) -> Results | None:
+        """Return the results of a run."""
+        return next((results for results in self.members if results.run is run), None)
+
+    def tables(self, name: str) -> dict[str, pd.DataFrame]:
+        """Return the tables of a name by the names of the runs."""
+        return {it.run.name: it.tables[name] for it in self.members if name in it.tables}
 
 
 def read_runs(folders: Sequence[Path]) -> list[Run]:
@@ -126,57 +107,68 @@ def read_runs(folders: Sequence[Path]) -> list[Run]:
     Raises:
         UserError: A folder is not the folder of a run, or is named twice.
     """
-    for folder in folders:
-        _check(folder)
     places = [folder.resolve() for folder in folders]
-    for index, place in enumerate(places):
-        if place in places[:index]:
-            raise UserError(f"{folders[index]} is named twice.")
-    return [_read(folder, name) for folder, name in zip(folders, names(places), strict=True)]
+    for index, folder in enumerate(folders):
+        _check(folder)
+        if places[index] in places[:index]:
+            raise UserError(f"{folder} is named twice.")
+    runs = [_read(folder, name) for folder, name in zip(folders, names(places), strict=True)]
+    for run in runs if len(runs) > 1 else ():
+        run.prefix, run.suffix = f"{run.name}: ", f"_{run.name}"
+    return runs
 
 
 def names(places: Sequence[Path]) -> list[str]:
-    """Return the shortest path endings that are distinct; `version_0` alone is not enough.
-
-    Args:
-        places: Distinct absolute paths.
-    """
+    """Return the shortest endings of distinct paths that are distinct, longer than `version_0`."""
     shortest = 2 if any(place.name.startswith("version_") for place in places) else 1
-    for length in range(shortest, max(len(place.parts) for place in places) + 1):
-        ends = ["/".join(place.parts[-length:]) for place in places]
-        if len(set(ends)) == len(ends):
-            break
-    return ends
+    endings = (["/".join(it.parts[-length:]) for it in places] for length in count(shortest))
+    return next(ends for ends in endings if len(set(ends)) == len(ends))
+
+
+def flat(config: Any, name: str = "") -> dict[str, str]:
+    """Flatten a configuration to settings with dotted names, such as ``model.target``.
+
+    A block is a setting with the name of its class; its arguments follow its name, as on the
+    command line. Other values are JSON.
+    """
+    found: dict[str, str] = {}
+    if isinstance(config, dict) and "class_path" in config:
+        found[name] = str(config["class_path"]).rpartition(".")[2]
+        config = config.get("init_args") or {}
+    elif isinstance(config, list) and config and all(isinstance(it, dict) for it in config):
+        blocks: dict[str, Any] = {}
+        for block in config:
+            kind = str(block.get("class_path")).rpartition(".")[2]
+            blocks[unique(kind, blocks)] = block
+        config = blocks
+    if isinstance(config, dict):
+        for key, value in config.items():
+            found |= flat(value, f"{name}.{key}".lstrip("."))
+    else:
+        text = config or "''" if isinstance(config, str) else json.dumps(config, default=str)
+        found[name] = text
+    return found
 
 
 def group_results(runs: Sequence[Run]) -> list[Group]:
     """Group the results of runs by their data; there is at least one group."""
-    found: dict[tuple[str, int], dict[str, Results]] = {}
-    for run in runs:
-        # A run may have results on several copies of a data file.
-        copies = Counter[str]()
-        for results in run.results:
-            found.setdefault((results.key, copies[results.key]), {})[run.name] = results
-            copies[results.key] += 1
-    members = [*found.values()] or [{}]
-    for run in runs:
-        if not run.results:
-            members[0][run.name] = Results()
-    if len(members) == 1:
-        return [Group("", members[0])]
-    groups: list[Group] = []
-    for it in members:
-        label = unique(next(iter(it.values())).label, [group.label for group in groups])
-        groups.append(Group(label, it))
-    return groups
+    groups: dict[str, Group] = {}
+    for results in (results for run in runs for results in run.results):
+        if results.key not in groups:
+            label = unique(results.label, [group.label for group in groups.values()])
+            groups[results.key] = Group(label, [])
+        groups[results.key].members.append(results)
+    found = [*groups.values()] or [Group("", [])]
+    found[0].members += [Results(run) for run in runs if not run.results]
+    if len(found) == 1:
+        found[0].label = ""
+    return found
 
 
 def _check(folder: Path) -> None:
     if not folder.is_dir():
         raise UserError(f"{folder} is not the folder of a run: there is no such folder.")
-    tables = (f"{table}.csv" for table in (*TABLES, *_OLD_TABLES))
-    known = (CONFIG, PATTERN, *tables, f"{RESULTS}/*/{DATA_FILE}")
-    if not any(path for pattern in known for path in folder.glob(pattern)):
+    if not any((*folder.glob(CONFIG), *folder.glob(PATTERN), *results_folders(folder))):
         below = sorted(path.parent for path in folder.glob(f"*/{CONFIG}"))
         hint = f" Name a folder below it, such as {below[-1]}." if below else ""
         raise UserError(
@@ -186,63 +178,42 @@ def _check(folder: Path) -> None:
 
 
 def _read(folder: Path, name: str) -> Run:
-    run = Run(name, folder, history=read_history(folder))
-    run.unread = [*run.history.unread]
-    _read_config(run)
+    history = read_history(folder)
+    run = Run(name, folder, history, unread=[*history.unread])
+    path = folder / CONFIG
+    if path.exists():
+        with run.reading(path):
+            run.config = path.read_text(encoding="utf-8")
+            config = yaml.safe_load(run.config)
+            if not isinstance(config, dict):
+                raise ValueError("it holds no settings")
+            run.settings = flat(config)
     for place, data in (results_folders(folder) or {folder: {}}).items():
-        results = _read_results(run, place)
-        if place != folder:
-            results.label = place.name
-            if "root" in data:
-                results.data = data
-            else:
-                run.unread.append(
-                    f"{place.relative_to(folder) / DATA_FILE} cannot be read: it notes no data."
-                )
+        results = Results(run) if place == folder else Results(run, place.name)
+        if isinstance(data.get("root"), str):
+            results.data = data
+        elif place != folder:
+            note = place.relative_to(folder) / DATA_FILE
+            run.unread.append(f"{note} cannot be read: it notes no data.")
+        _read_results(results, place)
         if results.tables or results.pictures:
             run.results.append(results)
-    run.results.sort(key=lambda results: not run.trained_on(results))
+    run.results.sort(key=lambda results: not results.on_training_data)
     return run
 
 
-def _read_results(run: Run, folder: Path) -> Results:
-    results = Results()
-    tables = {name: name for name in TABLES} | _OLD_TABLES
-    tables |= {path.stem: path.stem for path in sorted(folder.glob(f"{ROLLED}_*.csv"))}
-    for file, table in tables.items():
-        path = folder / f"{file}.csv"
-        if path.exists():
-            try:
-                results.tables[table] = read_table(path)
-            except (OSError, ValueError) as error:
-                run.unread.append(f"{path.relative_to(run.folder)} cannot be read: {error}.")
-            results.remarks[table] = _remarks(path.with_suffix(".md"))
-    for path in sorted(folder.glob("*.png")):
-        if path.read_bytes()[:8] == _PNG:
-            results.pictures.append(path)
-        else:
-            name = path.relative_to(run.folder)
-            run.unread.append(f"{name} cannot be read: it is not a PNG file.")
-    return results
-
-
-def _read_config(run: Run) -> None:
-    path = run.folder / CONFIG
-    if not path.exists():
-        return
-    try:
-        run.config_text = path.read_text(encoding="utf-8")
-        config = yaml.safe_load(run.config_text)
-    except (OSError, UnicodeError, yaml.YAMLError):
-        run.unread.append(f"{CONFIG} cannot be read: it is not plain YAML.")
-        return
-    run.config = config if isinstance(config, dict) else None
-    run.unread += [] if isinstance(config, dict) else [f"{CONFIG} holds no settings."]
-
-
-def _remarks(path: Path) -> list[str]:
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeError):
-        return []
-    return [line for line in lines if line.strip() and not line.startswith("|")]
+def _read_results(results: Results, folder: Path) -> None:
+    for path in sorted(folder.iterdir()):
+        # The name in old runs.
+        name = path.stem.replace("foreign_context", PERMUTED)
+        with results.run.reading(path):
+            if path.suffix == ".csv":
+                results.tables[name] = read_table(path)
+            elif path.suffix == ".md":
+                lines = path.read_text(encoding="utf-8").splitlines()
+                results.remarks[name] = [it for it in lines if it.strip() and it[0] != "|"]
+            elif path.suffix == ".png":
+                picture = path.read_bytes()
+                if not picture.startswith(_PNG):
+                    raise ValueError("it is not a PNG file")
+                results.pictures[name] = picture

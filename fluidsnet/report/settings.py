@@ -1,206 +1,141 @@
-"""Section on the configuration: differences between runs and from the shipped settings."""
+"""Sections on a training's configuration and data."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import lru_cache
-from importlib import import_module
 from pathlib import Path
-from types import NoneType
-from typing import Any
 
 import pandas as pd
 import yaml
-from jsonargparse import ArgumentParser
 from lightning import Trainer
+from lightning.pytorch.cli import LightningArgumentParser
 
 import fluidsnet
+from datamodules.schema import DAMAGE, SPLITS, Header, open_valid, simulations
+from datamodules.sph import SPHDataModule
 from fluidsnet.cli import SEED
-from fluidsnet.report.document import Folded, Note, Section, Table
-from fluidsnet.report.run import CONFIG, Run
-from fluidsnet.report.tables import NONE, frame, union
+from fluidsnet.errors import UserError
+from fluidsnet.module import FluidsNet
+from fluidsnet.report.page import Folded, Note, Part, Table
+from fluidsnet.report.run import CONFIG, Run, flat
+from fluidsnet.report.tables import NONE, union
+from fluidsnet.reporting.table import Cell
 
-#: Files with the shipped settings, in the repository's folder `configs`.
-_SHIPPED = ("trainer.yaml", "model/paper.yaml")
+_CONFIGS = Path(fluidsnet.__file__).parents[1] / "configs"
+#: Files with the shipped settings; they may not be installed.
+_SHIPPED = [it for it in (_CONFIGS / "trainer.yaml", _CONFIGS / "model/paper.yaml") if it.is_file()]
+_SOURCE = " and ".join(f"configs/{it.relative_to(_CONFIGS)}" for it in _SHIPPED) or "the defaults"
+#: Settings of the data module without a default.
+_REQUIRED = ("data.root", "data.voxel_size")
 #: Order of the groups of settings.
-_ORDER = ("model", "data", "trainer")
+_ORDER = {"model": 0, "data": 1, "trainer": 2}
+_COLUMNS = ("split", "simulations", "frames", "fluid particles", "solid particles", "time s")
 
 
-@dataclass(frozen=True)
-class Setting:
-    """A value of a configuration.
-
-    Attributes:
-        value: Value as in YAML; the class name of a block.
-        default: Default value.
-        listed: True for a block in a list, such as a callback.
-    """
-
-    value: Any
-    default: Any
-    listed: bool = False
-
-
-def settings_section(runs: Sequence[Run]) -> Section:
-    """Show the settings that differ between runs, then from the shipped ones, then all."""
-    section = Section("Configuration")
-    known = {run.name: flat(run.config) for run in runs if run.config is not None}
+def settings(runs: Sequence[Run]) -> Iterator[Part]:
+    """Yield the settings that differ between runs, then from the shipped ones, then all."""
+    known = {run.name: run.settings for run in runs if run.settings}
     if len(known) > 1:
         table = differing(known)
-        if table is None:
-            section.parts.append(Note("The runs have the same configuration."))
-        else:
-            caption = "Settings in which the runs differ"
-            section.parts.append(Table("settings_that_differ", caption, table))
-    base = shipped() if known else {}
-    files = " and ".join(f"configs/{name}" for name in _SHIPPED)
-    source = files if base else "the defaults of the classes"
+        caption = "Settings in which the runs differ"
+        same = Note("The runs have the same configuration.")
+        yield same if table.empty else Table("settings_that_differ", caption, table)
+    if known:
+        table = changed(known, shipped())
+        caption = f"Settings that differ from {_SOURCE}"
+        same = Note(f"All settings are those of {_SOURCE}.")
+        yield same if table.empty else Table("settings", caption, table, folded=len(known) > 1)
     for run in runs:
-        if run.config is None:
-            text = f"{run.name} has no {CONFIG} that can be read: fluidsnet fit writes it."
-            section.parts.append(Note(text, missing=True))
-            continue
-        table = changed(known[run.name], base)
-        if table is None:
-            section.parts.append(Note(f"{run.name} is configured as shipped ({source})."))
+        if run.settings:
+            yield Folded(f"Full {CONFIG} of {run.name}", run.config)
         else:
-            name = "settings" if len(runs) == 1 else f"settings_{run.name}"
-            caption = f"Settings of {run.name} that differ from {source}"
-            section.parts.append(Table(name, caption, table, folded=len(known) > 1))
-        section.parts.append(Folded(f"Full {CONFIG} of {run.name}", run.config_text))
-    return section
+            text = f"{run.name} has no {CONFIG} that can be read: fluidsnet fit writes it."
+            yield Note(text, missing=True)
 
 
-def flat(config: Mapping[str, Any]) -> dict[str, Setting]:
-    """Flatten a configuration to settings with dotted names, such as ``model.target``.
+def shipped() -> dict[str, str]:
+    """Return the shipped settings and the defaults of all others, as a run saves them."""
+    parser = LightningArgumentParser()
+    parser.add_argument("--config", action="config")
+    parser.add_lightning_class_args(Trainer, "trainer")
+    parser.add_lightning_class_args(FluidsNet, "model", subclass_mode=True, required=False)
+    parser.add_lightning_class_args(SPHDataModule, "data", subclass_mode=True)
+    parser.link_arguments("data.grid_shape", "model.init_args.grid_shape", apply_on="instantiate")
+    data = ["--data=datamodules.SPHDataModule", *(f"--{name}=1" for name in _REQUIRED)]
+    config = parser.parse_args([*(f"--config={path}" for path in _SHIPPED), *data])
+    saved = yaml.safe_load(parser.dump(config, skip_unset=False))
+    found = flat({"seed_everything": SEED, **saved})
+    return {name: value for name, value in found.items() if name not in _REQUIRED}
 
-    The arguments of a block follow its name, as on the command line. Arguments that are not set
-    get the default of the block's signature.
+
+def changed(runs: Mapping[str, dict[str, str]], base: dict[str, str]) -> pd.DataFrame:
+    """Return the settings of runs that differ from a base, whose values are the last column.
+
+    Of the settings that only the base has, these are the blocks, such as callbacks.
     """
-    trainer = config.get("trainer")
-    values = {**config}
-    if isinstance(trainer, Mapping):
-        values["trainer"] = {**_defaults(Trainer), **trainer}
-    return dict(_flat("", values, {"trainer": _defaults(Trainer)}))
+    table = differing({**runs, "as shipped": base})
+    absent = (table[[*runs]] == NONE).all(axis="columns")
+    return table[~absent | table["as shipped"].str[:1].str.isupper()]
 
 
-def shipped() -> dict[str, Setting]:
-    """Return the shipped settings; none where the configs are not installed."""
-    folder = Path(fluidsnet.__file__).parents[1] / "configs"
-    merged: dict[str, Any] = {"seed_everything": SEED}
-    for name in _SHIPPED:
-        if not (folder / name).is_file():
-            return {}
-        for key, value in yaml.safe_load((folder / name).read_text()).items():
-            merged[key] = {**merged.get(key, {}), **value}
-    return flat(merged)
+def differing(columns: Mapping[str, dict[str, str]]) -> pd.DataFrame:
+    """Return the settings that differ between columns; null is the same as none."""
+    names = union(columns.values())
+    names.sort(key=lambda name: _ORDER.get(name.partition(".")[0], len(_ORDER)))
+    table = pd.DataFrame({column: {**it} for column, it in columns.items()}, names, dtype=object)
+    table = table.replace("null", NONE).fillna(NONE)
+    table = table[table.nunique(axis="columns") > 1]
+    return table.reset_index(names="setting", allow_duplicates=True)
 
 
-def changed(run: Mapping[str, Setting], base: Mapping[str, Setting]) -> pd.DataFrame | None:
-    """Return a run's settings that differ from a base, or where it has none from the default.
-
-    Returns:
-        Name, the run's value and the other; None if nothing differs.
-    """
-    rows = []
-    for name, setting in run.items():
-        known = name in base or setting.default is not None
-        expected = base[name].value if name in base else setting.default
-        if setting.value != expected:
-            rows.append((name, _text(setting.value), _text(expected) if known else NONE))
-    for name, setting in base.items():
-        if setting.listed and name not in run:
-            rows.append((name, NONE, _text(setting.value)))
-    return _table(("setting", "run", "shipped"), rows)
+def data(runs: Sequence[Run]) -> Iterator[Part]:
+    """Describe the data that each run was trained on."""
+    seen: dict[tuple[str, str], Run] = {}
+    for run in runs:
+        root = run.settings.get("data.root", "")
+        stride = run.settings.get("data.stride", "")
+        first = seen.setdefault((root, stride), run)
+        if not run.settings:
+            text = f"The data that {run.name} was trained on are unknown without its {CONFIG}."
+            yield Note(text, missing=True)
+        elif first is not run and first.settings:
+            yield Note(f"{run.name} has the same data as {first.name}.")
+        else:
+            yield from _describe(run, Path(root), int(stride) if stride.isdecimal() else 1)
 
 
-def differing(runs: Mapping[str, Mapping[str, Setting]]) -> pd.DataFrame | None:
-    """Return the settings in which runs differ from each other.
-
-    Args:
-        runs: Settings by the name of the run.
-
-    Returns:
-        Name and each run's value; None if nothing differs.
-    """
-    rows = [
-        (name, *(_text(it[name].value) if name in it else NONE for it in runs.values()))
-        for name in union(runs.values())
-    ]
-    return _table(("setting", *runs), [row for row in rows if len({*row[1:]}) > 1])
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> pd.DataFrame | None:
-    def rank(row: Sequence[str]) -> int:
-        group = row[0].partition(".")[0]
-        return _ORDER.index(group) if group in _ORDER else len(_ORDER)
-
-    return frame(header, [*sorted(rows, key=rank)]) if rows else None
-
-
-def _flat(
-    name: str, value: Any, default: Any, listed: bool = False
-) -> Iterator[tuple[str, Setting]]:
-    if _is_block(value):
-        yield name, Setting(_short(value["class_path"]), _text(default), listed)
-        known = _block_defaults(value["class_path"])
-        given = value.get("init_args")
-        value, default = {**known, **(given if isinstance(given, Mapping) else {})}, known
-    if isinstance(value, list) and value and all(map(_is_block, value)):
-        counts = Counter[str]()
-        for block in value:
-            key = _short(block["class_path"])
-            counts[key] += 1
-            number = f"#{counts[key]}" if counts[key] > 1 else ""
-            yield from _flat(f"{name}.{key}{number}", block, NONE, listed=True)
-    elif isinstance(value, Mapping):
-        defaults = default if isinstance(default, Mapping) else {}
-        for key, inner in value.items():
-            yield from _flat(f"{name}.{key}".lstrip("."), inner, defaults.get(key))
-    else:
-        yield name, Setting(_plain(value), _plain(default), listed)
+def _describe(run: Run, root: Path, stride: int) -> Iterator[Part]:
+    text = f"{run.prefix}Trained on the data of {root}."
+    rows: list[list[Cell]] = []
+    for path in (root / f"{split}.h5" for split in SPLITS):
+        if not path.exists():
+            continue
+        try:
+            with open_valid(path) as file:
+                header = Header.read(file)
+                groups = [file[name] for name in simulations(file)]
+                frames = [int(group["position"].shape[0]) for group in groups]
+                fluid = _range([int(group["position"].shape[1]) for group in groups])
+                solid = _range([int(group["solid_position"].shape[-2]) for group in groups])
+        except (UserError, *DAMAGE) as error:
+            text += f" {path.name} cannot be read: {error}"
+        else:
+            time = sum(count - 1 for count in frames) * header.dt
+            rows.append([path.stem, len(groups), sum(frames), fluid, solid, time])
+    if not rows:
+        yield Note(f"{text} No data file is found there from the working folder.", missing=True)
+        return
+    corners = zip(header.domain_lower, header.domain_upper, strict=True)
+    size = " × ".join(f"{high - low:g}" for low, high in corners)
+    yield Note(
+        f"{text} Scene {header.scene} in {size} m, solver {header.solver}, particle radius "
+        f"{header.particle_radius:g} m; a frame every {1000 * header.dt:g} ms, a step every "
+        f"{1000 * header.dt * stride:g} ms."
+    )
+    table = pd.DataFrame(rows, columns=_COLUMNS, dtype=object)
+    yield Table(f"data{run.suffix}", f"Data files of {run.name}", table)
 
 
-@lru_cache
-def _block_defaults(path: str) -> dict[str, Any]:
-    """Return the default arguments of a class; none if it cannot be imported."""
-    module, _, name = path.rpartition(".")
-    try:
-        return _defaults(getattr(import_module(module), name))
-    except Exception:  # an import may raise anything; then all given arguments are shown
-        return {}
-
-
-@lru_cache
-def _defaults(kind: type) -> dict[str, Any]:
-    # jsonargparse also finds the arguments that a class hands on to its parents.
-    parser = ArgumentParser()
-    parser.add_class_arguments(kind, fail_untyped=False)
-    found: dict[str, Any] = parser.get_defaults().as_dict()
-    return found
-
-
-def _is_block(value: Any) -> bool:
-    return isinstance(value, Mapping) and isinstance(value.get("class_path"), str)
-
-
-def _short(path: str) -> str:
-    return path.rpartition(".")[2]
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, (list, tuple)):
-        return [_plain(inner) for inner in value]
-    return value if isinstance(value, (int, float, str, NoneType)) else str(value)
-
-
-def _text(value: Any) -> str:
-    """Format a value as YAML in one line."""
-    if isinstance(value, str):
-        return value or "''"
-    if isinstance(value, Mapping) and _is_block(value):
-        return _short(value["class_path"])
-    text: str = yaml.safe_dump(_plain(value), default_flow_style=True, width=10**6)
-    return text.removesuffix("\n").removesuffix("\n...")
+def _range(counts: list[int]) -> str:
+    least, most = min(counts, default=0), max(counts, default=0)
+    return f"{least:,}" if least == most else f"{least:,} to {most:,}"

@@ -18,11 +18,6 @@ Key = TypeVar("Key", bound=Cell)
 NONE = "–"
 
 
-def frame(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> pd.DataFrame:
-    """Return a table whose cells keep their type; the first column names the rows."""
-    return pd.DataFrame([*rows], columns=[*header], dtype=object)
-
-
 def read_table(path: Path) -> pd.DataFrame:
     """Read a CSV file with a header; each cell is an int, a float or text.
 
@@ -52,36 +47,30 @@ def shown(cell: Cell) -> str:
 
 
 def side_by_side(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """Join the tables of several runs by their first column.
+    """Join tables by their first column; a single one is returned unchanged.
 
-    A column with equal values in all runs appears once; others get the run's name.
-
-    Args:
-        tables: Tables by the names of the runs; a single one is returned unchanged.
+    A column with equal values in all tables appears once; others get the table's name.
     """
     first = next(iter(tables.values()))
     if len(tables) == 1:
         return first
+    key = first.columns[0]
     indexed = {
         run: table.drop_duplicates(table.columns[0], keep="last").set_index(table.columns[0])
         for run, table in tables.items()
     }
     rows = union(table.index for table in indexed.values())
-    joined = {}
+    joined: dict[str, list[Cell]] = {key: rows}
     for name in union(table.columns for table in indexed.values()):
         columns = {
-            run: table[name].reindex(rows, fill_value=NONE)
+            f"{name}, {run}": table[name].reindex(rows, fill_value=NONE).to_list()
             for run, table in indexed.items()
             if name in table
         }
         values = next(iter(columns.values()))
-        if len(columns) == len(tables) and all(same(values, it) for it in columns.values()):
-            joined[name] = values
-        else:
-            joined |= {f"{name}, {run}": column for run, column in columns.items()}
-    table = pd.DataFrame(joined, dtype=object)
-    table.insert(0, first.columns[0], pd.Series(rows, index=table.index, dtype=object))
-    return table.reset_index(drop=True)
+        shared = len(columns) == len(tables) and all(same(values, it) for it in columns.values())
+        joined |= {name: values} if shared else columns
+    return pd.DataFrame(joined, dtype=object)
 
 
 def union(lists: Iterable[Iterable[Key]]) -> list[Key]:
@@ -90,18 +79,16 @@ def union(lists: Iterable[Iterable[Key]]) -> list[Key]:
     for items in lists:
         place = 0
         for item in items:
-            if item in found:
-                place = found.index(item) + 1
-            else:
+            if item not in found:
                 found.insert(place, item)
-                place += 1
+            place = found.index(item) + 1
     return found
 
 
 def unique(name: str, taken: Collection[str]) -> str:
     """Return a name that is not taken, with a number behind it where needed."""
     numbered = (f"{name}_{number}" for number in count(2))
-    return next(found for found in chain([name], numbered) if found not in taken)
+    return next(it for it in chain([name], numbered) if it not in taken)
 
 
 def near(first: Cell, second: Cell) -> bool:
@@ -111,10 +98,9 @@ def near(first: Cell, second: Cell) -> bool:
     return math.isclose(first, second, rel_tol=1e-4)
 
 
-def same(first: Iterable[Cell], second: Iterable[Cell]) -> bool:
+def same(first: Sequence[Cell], second: Sequence[Cell]) -> bool:
     """Return whether two lists of cells have the same length and agree up to rounding."""
-    cells, others = [*first], [*second]
-    return len(cells) == len(others) and all(map(near, cells, others))
+    return len(first) == len(second) and all(map(near, first, second))
 
 
 def _cell(text: str) -> Cell:
