@@ -28,37 +28,32 @@ class RunSummary(Callback):
         measures = stage in ("test", "predict")
         self._folder = results_folder(trainer) if measures else run_folder(trainer)
 
-    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        samples = {
-            "training sample": trainer.train_dataloader,
-            "validation sample": trainer.val_dataloaders,
-        }
-        self._print(trainer, pl_module, samples)
-
     def on_validation_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         if trainer.state.fn == "validate":
-            self._print(trainer, pl_module, {"sample": trainer.val_dataloaders})
+            self.on_train_start(trainer, pl_module)
 
-    def on_test_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        self._print(trainer, pl_module, {"sample": trainer.test_dataloaders})
-
-    def on_predict_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        self._print(trainer, pl_module, {"simulation": trainer.predict_dataloaders})
-
-    def _print(self, trainer: Trainer, module: Any, loaders: dict[str, Any]) -> None:
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Print the summary."""
         if not trainer.is_global_zero:
             return
         data: Any = getattr(trainer, "datamodule", None)
+        loaders: dict[str, Any] = {
+            "training sample": trainer.train_dataloader,
+            "validation sample": trainer.val_dataloaders,
+            "test sample": trainer.test_dataloaders,
+            "simulation": trainer.predict_dataloaders,
+        }
         counts = [_count(len(loader.dataset), unit) for unit, loader in loaders.items() if loader]
-        facts = [*counts, f"time step {1000 * data.time_step:g} ms"]
         lines = {
             "device": _device(trainer),
-            "data": f"{data.root}: {', '.join(facts)}",
-            **_model(module, trainer.ckpt_path),
+            "data": f"{data.root}: {', '.join(counts)}, time step {1000 * data.time_step:g} ms",
+            **_model(pl_module, trainer.ckpt_path),
             "results": str(self._folder),
         }
         for name, value in lines.items():
             print(f"{name:<9}{value}", flush=True)
+
+    on_test_start = on_predict_start = on_train_start
 
 
 def _count(number: int, unit: str) -> str:

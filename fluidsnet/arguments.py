@@ -3,28 +3,15 @@
 from __future__ import annotations
 
 import os
+from argparse import ArgumentParser
 from itertools import count
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from fluidsnet.deprecated import DeprecatedNames
 from fluidsnet.errors import UserError
 from fluidsnet.models.loading import checkpoint_path
-
-
-def rewrite(arguments: list[str], names: DeprecatedNames) -> list[str]:
-    """Return the arguments that LightningCLI parses.
-
-    Args:
-        arguments: Command and its options, as typed.
-        names: Replaces deprecated names and collects them.
-
-    Raises:
-        UserError: The folder of ``--run`` or a file of ``base:`` cannot be used.
-    """
-    return names.in_arguments(with_base(with_run(arguments)))
 
 
 def with_run(arguments: list[str]) -> list[str]:
@@ -35,14 +22,16 @@ def with_run(arguments: list[str]) -> list[str]:
     Raises:
         UserError: The folder lacks a config or a checkpoint, or the command is ``fit``.
     """
-    run, rest = _take_option(arguments, "--run")
-    if run is None:
-        return rest
-    if not run:
+    parser = ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--run", nargs="?", const="")
+    parsed, rest = parser.parse_known_args(arguments)
+    if parsed.run is None:
+        return arguments
+    if not parsed.run:
         raise UserError("--run needs the folder of a run, such as runs/demo.")
     if rest[0] == "fit":
         raise UserError("--run names a run to test or predict with; fit takes --config.")
-    folder = Path(run)
+    folder = Path(parsed.run)
     config = folder / "config.yaml"
     if not config.exists():
         raise UserError(f"{folder} is not the folder of a run: {config} is missing.")
@@ -79,20 +68,6 @@ def with_base(arguments: list[str]) -> list[str]:
         base = [f"--config={path}" for path in _base(overlay)]
         return [*arguments[:index], *base, *arguments[index:]]
     return arguments
-
-
-def _take_option(arguments: list[str], option: str) -> tuple[str | None, list[str]]:
-    """Return an option's last value, empty if it is missing, and the other arguments."""
-    value, rest = None, []
-    remaining = iter(arguments)
-    for argument in remaining:
-        if argument == option:
-            value = next(remaining, "")
-        elif argument.startswith(f"{option}="):
-            value = argument.partition("=")[2]
-        else:
-            rest.append(argument)
-    return value, rest
 
 
 def _keep_metrics(folder: Path) -> None:

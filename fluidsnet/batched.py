@@ -58,18 +58,17 @@ class BatchedPrediction:
             yield from self._predict(waiting)
 
     def _fits(self, states: Sequence[Particles], memory: int) -> bool:
-        if not self._largest or states[-1].scene is not states[0].scene:
-            return False
-        return sum(map(_count, states)) * self.bytes_per_particle <= memory
+        needed = sum(map(_count, states)) * self.bytes_per_particle
+        return self._largest > 0 and states[-1].scene is states[0].scene and needed <= memory
 
     # Not around the generator, whose caller may need gradients between two states.
     @torch.no_grad()
     def _predict(self, states: Sequence[Particles]) -> list[Particles]:
         with PeakMemory(self.device) as peak:
             after = self.model.step(Particles.collate(states).to(self.device))
-            origin, sizes = states[0].position.device, [len(state) for state in states]
-            position = after.position.to(origin).split(sizes)  # type: ignore[no-untyped-call]
-            velocity = after.velocity.to(origin).split(sizes)  # type: ignore[no-untyped-call]
+            origin, sizes = states[0].position.device, list(map(len, states))
+            position = torch.split(after.position.to(origin), sizes)
+            velocity = torch.split(after.velocity.to(origin), sizes)
         self.batches.append(sum(state.frames for state in states))
         count = sum(map(_count, states))
         if count >= self._largest:

@@ -24,7 +24,7 @@ from callbacks.console_progress import ConsoleProgress
 from callbacks.one_step_table import OneStepTable
 from callbacks.run_summary import RunSummary
 from datamodules.sph import SPHDataModule
-from fluidsnet.arguments import rewrite
+from fluidsnet.arguments import with_base, with_run
 from fluidsnet.console import quiet
 from fluidsnet.deprecated import DeprecatedNames
 from fluidsnet.errors import UserError
@@ -164,7 +164,7 @@ def _run(arguments: list[str]) -> None:
         save_config_kwargs={"overwrite": True},
         seed_everything_default=SEED,
         auto_configure_optimizers=False,
-        args=[*rewrite(arguments, names), "--base=null"],
+        args=[*names.in_arguments(with_base(with_run(arguments))), "--base=null"],
     )
 
 

@@ -21,7 +21,12 @@ REMOVED = {"RolloutTable", "callbacks.RolloutTable", "callbacks.rollout_table.Ro
 
 # Keys whose value may be a class name without `class_path:`.
 _CLASS_KEYS = {"class_path", "callbacks", "callbacks+", "variant", *KEYS, *KEYS.values()}
-_MODEL_OPTION = re.compile(rf"(--model\.(?:init_args\.)?)({'|'.join(KEYS)})(?![^.=])")
+_MODEL_PATHS = (("model", "init_args"), ("model", "dict_kwargs"))
+# Patterns of command-line arguments, each preceded by a null character: `--name=value` and
+# `--name value` match alike.
+_CALLBACK = re.compile(r"\0--trainer\.callbacks\+?[=\0]([^\0]*)")
+_MODEL_OPTION = re.compile(rf"(\0--model\.(?:init_args\.)?)({'|'.join(KEYS)})(?=[.=\0]|$)")
+_VALUE = re.compile(r"(\0--(?:[^=\0]*\.)?([^=.\0]+)[=\0])((?!--)[^\0]*)")
 
 
 class DeprecatedNames:
@@ -38,58 +43,39 @@ class DeprecatedNames:
         return f"fluidsnet: deprecated names, please update your config: {changes}"
 
     def in_config(self, value: Any, path: tuple[str, ...] = ()) -> Any:
-        """Return the values of a config with current names.
-
-        Args:
-            value: Mapping, list or plain value, as read from YAML.
-            path: Keys that lead to the value.
-        """
+        """Return a value of a config, at a path of keys, with current names."""
         if isinstance(value, dict):
-            in_model = path[-1:] == ("model",) or path[-2:-1] == ("model",)
-            in_model = in_model and path[-1] in ("model", "init_args", "dict_kwargs")
+            in_model = path[-1:] == ("model",) or path[-2:] in _MODEL_PATHS
             renamed = {}
             for key, item in value.items():
-                name = self._renamed(key, KEYS) if in_model else key
+                name = self._current(key, "block") if in_model and key in KEYS else key
                 renamed[name] = self.in_config(item, (*path, str(name)))
             return renamed
         if isinstance(value, list):
             return [self.in_config(item, path) for item in value if not self._is_removed(item)]
-        return self._value(value, path[-1]) if path else value
+        return self._current(value, path[-1]) if path and isinstance(value, str) else value
 
     def in_arguments(self, arguments: list[str]) -> list[str]:
         """Return command-line arguments with current names."""
-        renamed: list[str] = []
-        option = ""
-        for argument in arguments:
-            if not argument.startswith("--"):
-                # Value of the option before it, if any.
-                renamed.append(self._value(argument, _last_key(option)))
-                option = ""
-                continue
-            option, equals, value = argument.partition("=")
-            match = _MODEL_OPTION.match(option)
-            if match:
-                key = self._renamed(match[2], KEYS)
-                option = f"{match[1]}{key}{option[match.end() :]}"
-            renamed.append(f"{option}{equals}{self._value(value, _last_key(option))}")
-        return self._without_removed(renamed)
+        text = "".join(f"\0{argument}" for argument in arguments)
+        text = _CALLBACK.sub(lambda match: "" if self._is_removed(match[1]) else match[0], text)
+        text = _MODEL_OPTION.sub(lambda match: match[1] + self._current(match[2], "block"), text)
+        text = _VALUE.sub(lambda match: match[1] + self._current(match[3], match[2]), text)
+        return text.split("\0")[1:]
 
-    def _value(self, value: Any, key: str) -> Any:
-        if not isinstance(value, str):
-            return value
+    def _current(self, value: str, key: str) -> str:
+        """Return the current name of the value of a key."""
         if key == "block":
-            return self._renamed(value, KEYS)
+            return self._noted(value, KEYS.get(value, value))
         if key not in _CLASS_KEYS:
             return value
         module, dot, name = value.rpartition(".")
-        current = f"{MODULES.get(module, module)}{dot}{CLASSES.get(name, name)}"
-        return self._renamed(value, {value: current}) if current != value else value
+        return self._noted(value, f"{MODULES.get(module, module)}{dot}{CLASSES.get(name, name)}")
 
-    def _renamed(self, name: Any, table: dict[str, str]) -> Any:
-        if name not in table:
-            return name
-        self._found[name] = table[name]
-        return table[name]
+    def _noted(self, old: str, new: str) -> str:
+        if new != old:
+            self._found[old] = new
+        return new
 
     def _is_removed(self, item: Any) -> bool:
         name = item.get("class_path") if isinstance(item, dict) else item
@@ -98,25 +84,8 @@ class DeprecatedNames:
         self._found[name] = "removed"
         return True
 
-    def _without_removed(self, arguments: list[str]) -> list[str]:
-        kept: list[str] = []
-        for argument in arguments:
-            option, _, value = argument.partition("=")
-            callback = "--trainer.callbacks"
-            if option.rstrip("+") == callback and self._is_removed(value):
-                continue
-            if kept and kept[-1].rstrip("+") == callback and self._is_removed(argument):
-                kept.pop()
-                continue
-            kept.append(argument)
-        return kept
-
 
 def with_current_names(settings: dict[str, Any]) -> dict[str, Any]:
     """Return arguments of `FluidsNet` with current names, without a warning."""
     renamed: dict[str, Any] = DeprecatedNames().in_config(settings, ("model", "init_args"))
     return renamed
-
-
-def _last_key(option: str) -> str:
-    return option.lstrip("-").rpartition(".")[2]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
 from typing import Any
 
 from tqdm import tqdm
@@ -35,19 +34,6 @@ class Progress(tqdm):  # type: ignore[type-arg]
             kwargs["bar_format"] = "{desc}{n_fmt}/{total_fmt}, {rate_fmt}{postfix}"
         super().__init__(*args, **kwargs)
 
-    @staticmethod
-    def status_printer(file: Any) -> Callable[[str], None]:
-        """Return a function that overwrites the last status, or writes one on a new line."""
-        if file.isatty():
-            overwrite: Callable[[str], None] = tqdm.status_printer(file)
-            return overwrite
-
-        def write(status: str) -> None:
-            file.write(f"{status}\n")
-            file.flush()
-
-        return write
-
     def display(self, msg: str | None = None, pos: int | None = None) -> None:
         """Show the status; in a file only if the last line is `INTERVAL` seconds old."""
         if self._terminal:
@@ -77,4 +63,5 @@ class Progress(tqdm):  # type: ignore[type-arg]
 
     def _write(self) -> None:
         self._written = time.monotonic()
-        self.sp(str(self))
+        self.fp.write(f"{self}\n")
+        self.fp.flush()

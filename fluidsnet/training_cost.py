@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from contextlib import nullcontext
 from statistics import median
 from typing import Any
 
@@ -12,6 +13,7 @@ from lightning.pytorch.cli import OptimizerCallable
 from lightning.pytorch.plugins.precision import Precision
 from torch import Tensor
 
+from fluidsnet.memory import PeakMemory
 from fluidsnet.model import Model
 from fluidsnet.particles import Transitions
 from fluidsnet.rng import preserve_rng_state
@@ -28,13 +30,7 @@ def training_costs(
 ) -> dict[str, dict[str, float]]:
     """Measure training steps of copies of the models, in turns, so that load affects all alike.
 
-    The models and the random state are not changed.
-
-    Args:
-        models: Models by name.
-        batch: Batch of the steps, on the models' device.
-        optimizer: Builds the optimizer from weights.
-        precision: Lightning's precision plugin of the run.
+    The models and the random state are not changed. The batch is on the models' device.
 
     Returns:
         For each model ``step_seconds``, the median time of forward and backward pass with
@@ -49,45 +45,41 @@ def training_costs(
             name: precision.convert_module(model.twin().to(device).train())
             for name, model in models.items()
         }
-        seconds: dict[str, list[float]] = {name: [] for name in copies}
-        peaks = dict.fromkeys(copies, 0.0)
-        for round_ in range(ROUNDS + 1):
+        steps: dict[str, list[tuple[float, int]]] = {name: [] for name in copies}
+        for _ in range(ROUNDS + 1):
             for name, copy in copies.items():
-                taken, peak = _timed(copy, batch, precision)
-                if round_:
-                    seconds[name].append(taken)
-                peaks[name] = max(peaks[name], peak)
+                steps[name].append(_timed(copy, batch, precision))
         for name, copy in copies.items():
             weights = list(copy.parameters())
             state = optimizer(weights)
             kept = _kept_bytes(copy, batch, precision)
             state.step()
+            values = (value for moments in state.state.values() for value in moments.values())
             costs[name] = {
-                "step_seconds": median(seconds[name]),
+                "step_seconds": median(seconds for seconds, _ in steps[name][1:]),
                 "kept_bytes": float(kept),
                 "parameters": float(sum(weight.numel() for weight in weights)),
-                "optimizer_bytes": float(_bytes_in(state.state)),
+                "optimizer_bytes": float(
+                    sum(value.nbytes for value in values if isinstance(value, Tensor))
+                ),
             }
             if device.type == "cuda":
-                costs[name]["peak_bytes"] = peaks[name]
+                costs[name]["peak_bytes"] = float(max(peak for _, peak in steps[name]))
     return costs
 
 
-def _timed(model: Any, batch: Transitions, precision: Precision) -> tuple[float, float]:
+def _timed(model: Any, batch: Transitions, precision: Precision) -> tuple[float, int]:
     """Return the seconds of a step, and its additional peak bytes on a GPU."""
-    device = batch.state.position.device
-    cuda, before, peak = device.type == "cuda", 0, 0
+    peak = PeakMemory(batch.state.position.device)
+    cuda = peak.device.type == "cuda"
     model.zero_grad()
-    if cuda:
-        torch.cuda.synchronize(device)
-        before = torch.cuda.memory_allocated(device)
-        torch.cuda.reset_peak_memory_stats(device)
-    started = time.perf_counter()
-    _step(model, batch, precision)
-    if cuda:
-        torch.cuda.synchronize(device)
-        peak = torch.cuda.max_memory_allocated(device)
-    return time.perf_counter() - started, float(peak - before)
+    with peak if cuda else nullcontext():
+        started = time.perf_counter()
+        _step(model, batch, precision)
+        if cuda:
+            torch.cuda.synchronize(peak.device)
+        seconds = time.perf_counter() - started
+    return seconds, peak.bytes
 
 
 def _step(model: Any, batch: Transitions, precision: Precision) -> None:
@@ -110,12 +102,3 @@ def _kept_bytes(model: Any, batch: Transitions, precision: Precision) -> int:
     with torch.autograd.graph.saved_tensors_hooks(pack, lambda value: value):
         _step(model, batch, precision)
     return sum(sizes.values())
-
-
-def _bytes_in(state: Mapping[Any, Any]) -> int:
-    return sum(
-        value.numel() * value.element_size()
-        for values in state.values()
-        for value in values.values()
-        if isinstance(value, Tensor)
-    )

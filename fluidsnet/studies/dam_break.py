@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
+from math import prod
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 import h5py
 import numpy as np
@@ -47,42 +49,33 @@ class Dam:
         edges = scale * np.array(DOMAIN)
         ideal = np.array(SHARES) * edges / spacing
         most = np.floor((edges - 2 * CLEARANCE * RADIUS) / spacing)
-        best: tuple[float, tuple[int, int, int]] | None = None
-        for x in _around(ideal[0], most[0]):
-            for y in _around(ideal[1], most[1]):
-                z = int(np.clip(round(particles / (x * y)), 1, most[2]))
-                # The difference in number decides, then the difference in shape.
-                distortion = float(np.abs(np.log(np.array([x, y, z]) / ideal)).sum())
-                difference = abs(x * y * z - particles) + distortion
-                if best is None or difference < best[0]:
-                    best = (difference, (x, y, z))
-        assert best is not None
-        width, height, depth = (float(edge) for edge in edges)
-        return cls(best[1], (width, height, depth))
+
+        def around(axis: int) -> range:
+            middle, reach = round(ideal[axis]), max(2, round(0.08 * ideal[axis]))
+            return range(max(1, middle - reach), max(1, min(middle + reach, int(most[axis]))) + 1)
+
+        def difference(layers: tuple[int, int, int]) -> float:
+            # The difference in number decides, then the difference in shape.
+            distortion = float(np.abs(np.log(np.array(layers) / ideal)).sum())
+            return abs(prod(layers) - particles) + distortion
+
+        columns = (
+            (x, y, int(np.clip(round(particles / (x * y)), 1, most[2])))
+            for x, y in product(around(0), around(1))
+        )
+        width, height, depth = map(float, edges)
+        return cls(min(columns, key=difference), (width, height, depth))
 
     @property
     def particles(self) -> int:
         """Number of fluid particles."""
-        return self.layers[0] * self.layers[1] * self.layers[2]
+        return prod(self.layers)
 
     def recipe(
         self, solver: SolverName, frames: int, frame_interval: float, solver_step: float
     ) -> Recipe:
-        """Return the recipe of one simulation.
-
-        Args:
-            solver: Pressure solver.
-            frames: Number of frames after the start.
-            frame_interval: Time between frames, s.
-            solver_step: Fixed time step, s.
-
-        Raises:
-            UserError: The interval is not a whole number of steps.
-        """
-        width, height, depth = (
-            2 * RADIUS * layers / edge
-            for layers, edge in zip(self.layers, self.domain, strict=True)
-        )
+        """Return the recipe of one simulation with `frames` after the start; times in s."""
+        width, height, depth = (2 * RADIUS * np.array(self.layers) / self.domain).tolist()
         return Recipe(
             scene=DamBreak(self.domain, (width, width), (height, height), (depth, depth)),
             particle_radius=RADIUS,
@@ -101,8 +94,7 @@ class Dam:
         Wall particles are a diameter apart.
         """
         random = np.random.default_rng(0)
-        axes = [CLEARANCE * RADIUS + RADIUS * (2 * np.arange(layers) + 1) for layers in self.layers]
-        lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        lattice = RADIUS * (CLEARANCE + 1 + 2 * _grid(*map(np.arange, self.layers)))
         # Random offsets of up to 0.1 radii, so that no two neighbors are equally far.
         lattice += random.uniform(-0.1, 0.1, lattice.shape) * RADIUS
         with h5py.File(path, "w") as file:
@@ -139,11 +131,10 @@ class Dam:
         for axis, edge in enumerate(self.domain):
             across = [np.arange(0, self.domain[other], 2 * RADIUS) for other in range(3)]
             across[axis] = np.array([0.0, edge])
-            sides.append(np.stack(np.meshgrid(*across, indexing="ij"), axis=-1).reshape(-1, 3))
+            sides.append(_grid(*across))
         return np.concatenate(sides).astype(np.float32)
 
 
-def _around(ideal: float, most: float) -> range:
-    """Return the integers near an ideal number, up to a maximum."""
-    middle, reach = round(ideal), max(2, round(0.08 * ideal))
-    return range(max(1, middle - reach), max(1, min(middle + reach, int(most))) + 1)
+def _grid(*axes: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the points (N, 3) of a grid with the given coordinates."""
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1, dtype=np.float64).reshape(-1, 3)

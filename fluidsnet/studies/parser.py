@@ -18,13 +18,7 @@ class Parser(ArgumentParser):
 
 
 def study_parser(command: str, description: str, options: type) -> Parser:
-    """Create the parser of a study's command; it reads options from ``--config`` files, too.
-
-    Args:
-        command: Name of the command.
-        description: First paragraph of ``--help``.
-        options: Dataclass whose attributes are the options.
-    """
+    """Create the parser of a study's command; ``--config`` files can set options, too."""
     parser = Parser(prog=f"fluidsnet {command}", description=description)
     parser.add_argument("--config", action="config", help="a file with these options")
     parser.add_class_arguments(options)

@@ -13,12 +13,11 @@ from fluidsnet.main import main
 from fluidsnet.network import Network
 from fluidsnet.studies.dam_break import Dam
 from fluidsnet.studies.speed import command
+from fluidsnet.studies.speed import trial as speed_trial
 from fluidsnet.studies.speed.floor import step_floor
 from fluidsnet.studies.speed.measure import load_model, measure
-from fluidsnet.studies.speed.options import SpeedOptions
-from fluidsnet.studies.speed.report import Report
-from fluidsnet.studies.speed.table import Row, number
-from fluidsnet.studies.speed.trial import Result, Trial
+from fluidsnet.studies.speed.report import Report, number
+from fluidsnet.studies.speed.trial import Result, SpeedOptions, Trial, run_trial
 from tools import training_step
 
 MODELS = Path(__file__).parents[2] / "configs" / "model"
@@ -84,7 +83,7 @@ def test_the_start_without_a_solver(tmp_path: Path) -> None:
     assert len(state) == dam.particles
     assert (state.position > 0).all() and (state.position < state.scene.domain_upper).all()
     options = SpeedOptions(repeats=1, threads=1, batch=2)
-    base = Trial("reference", options, tmp_path / "start.h5", reference=tmp_path / "reference.npy")
+    base = Trial("reference", options, dam.particles, tmp_path / "start.h5")
     assert measure(base).failure == ""
     for neighbors in ("CellList", "TorchCluster"):
         found = measure(replace(base, kind="step", neighbors=neighbors))
@@ -124,10 +123,21 @@ def test_the_floor_counts_the_papers_layers() -> None:
 
 def test_what_was_skipped_says_so(tmp_path: Path) -> None:
     result = Result(failure="skipped: why")
-    report = Report(rows=[Row(1000, "network", "TorchCluster", "float32", result=result)])
+    trial = Trial("step", SpeedOptions(), 1000, neighbors="TorchCluster")
+    report = Report(rows=[(trial, result)])
     assert "skipped: why" in report.write(tmp_path)
     (row,) = _table(tmp_path)
     assert row["note"] == "skipped: why" and row["step s"] == "" == row["speed-up"]
+
+
+def test_a_failed_process_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    options = SpeedOptions(threads=1, seconds=0.01)
+    missing = Trial("step", options, 1000, tmp_path / "none.h5")
+    assert "none.h5" in run_trial(missing).failure
+    Dam.of(1000).write_start(missing.states, 2, 0.02)
+    assert "AttributeError" in run_trial(replace(missing, neighbors="Nonsense")).failure
+    monkeypatch.setattr(speed_trial, "START", 0.1)
+    assert run_trial(missing).failure == "skipped: beyond 0.01 s"
 
 
 def _study(
@@ -135,7 +145,7 @@ def _study(
 ) -> str:
     """The page of a tiny study whose processes leave these results, by kind of trial."""
 
-    def run_trial(work: Path, trial: Trial) -> Result:
+    def run_trial(trial: Trial) -> Result:
         return results.get(trial.kind, Result())
 
     monkeypatch.setattr(command, "run_trial", run_trial)

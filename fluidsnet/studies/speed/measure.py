@@ -1,16 +1,13 @@
-"""Measure a network or the processor; the measuring process of `run_trial`.
-
-Run as ``python -m fluidsnet.studies.speed.measure trial.pkl result.pkl``.
-"""
+"""Measure a network or the processor; the measuring process of `run_trial`."""
 
 from __future__ import annotations
 
-import contextlib
+import os
 import pickle
+import resource
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,18 +29,16 @@ from fluidsnet.models.loading import build
 from fluidsnet.particles import Particles
 from fluidsnet.studies.dam_break import CELLS
 from fluidsnet.studies.speed.floor import measure_cores
-from fluidsnet.studies.speed.options import SpeedOptions
-from fluidsnet.studies.speed.trial import STAGES, Result, Trial
+from fluidsnet.studies.speed.trial import Result, SpeedOptions, Trial
+
+#: Profiler ranges of a step, as `Network.forward` names them.
+STAGES = ("sort", "search", "search + local", "local", "voxel", "global", "head")
 
 
 def load_model(options: SpeedOptions, neighbors: str) -> Model:
-    """Return the network of the options in evaluation mode, with the given neighbor search.
+    """Return the network of the options in evaluation mode, with a class of neighbor search.
 
     Without a run its weights are random, and without a config it is the paper's.
-
-    Args:
-        options: Names the network.
-        neighbors: Name of a class of `fluidsnet.neighbors`.
 
     Raises:
         UserError: A file is missing or not valid, or the run was trained at another time step.
@@ -81,7 +76,9 @@ def measure(trial: Trial) -> Result:
         with kernels.disabled():
             np.save(trial.reference, bench.step().numpy())
         return Result()
-    return bench.measure_batch() if trial.kind == "batch" else bench.measure_step()
+    result = bench.measure_batch() if trial.kind == "batch" else bench.measure_step()
+    result.solids = len(bench.states[-1].solid_position)
+    return result
 
 
 class _Bench:
@@ -105,19 +102,17 @@ class _Bench:
         parts = (state.position[:200], state.velocity[:200], state.solid_position[:200])
         self.step(Particles.single(*parts, state.scene))
 
-    def autocast(self) -> contextlib.AbstractContextManager[Any]:
+    def autocast(self) -> torch.autocast:
         """Return the context of the trial's precision."""
-        if self.trial.precision == "float32":
-            return contextlib.nullcontext()
-        return torch.autocast(self.device.type, dtype=getattr(torch, self.trial.precision))
+        name = self.trial.precision
+        return torch.autocast(self.device.type, getattr(torch, name), enabled=name != "float32")
 
     def step(self, state: Particles | None = None) -> Tensor:
         """Return the next velocities (N, 3), m/s, on the CPU, with all copies included."""
         with torch.no_grad(), self.autocast():
             after = self.model.step((self.states[-1] if state is None else state).to(self.device))
             after.position.cpu()
-            velocity: Tensor = after.velocity.cpu()
-            return velocity
+            return after.velocity.cpu()
 
     def search(self) -> Any:
         """Return the edges of the state."""
@@ -125,7 +120,7 @@ class _Bench:
             neighbors = self.model.network.neighbors(self.states[-1].to(self.device))
             if self.device.type == "cuda":
                 torch.cuda.synchronize(self.device)
-            return neighbors
+        return neighbors
 
     def measure_step(self) -> Result:
         """Measure time, stages, memory and error of a step, and the time of a search."""
@@ -140,18 +135,13 @@ class _Bench:
             stages=self._stages(3),
             peak=peak.bytes,
             error=_error(velocity, trial.reference),
-            solids=len(self.states[-1].solid_position),
         )
-        if trial.precision != "float32" or trial.compile:
-            # Neither changes the search.
-            return result
-        neighbors = self.search()
-        remaining = options.seconds - (time.perf_counter() - began)
-        return replace(
-            result,
-            search=_repeat(self.search, options.repeats, max(remaining, 0.0)),
-            edges=len(neighbors.particle) / len(self.states[-1]),
-        )
+        # The search does not depend on precision and compilation.
+        if trial.precision == "float32" and not trial.compile:
+            result.edges = len(self.search().particle) / len(self.states[-1])
+            remaining = options.seconds - (time.perf_counter() - began)
+            result.search = _repeat(self.search, options.repeats, remaining)
+        return result
 
     def measure_batch(self) -> Result:
         """Measure time and memory of all states predicted at once."""
@@ -167,8 +157,7 @@ class _Bench:
         seconds = _repeat(work, options.repeats, options.seconds)
         with PeakMemory(self.device) as peak:
             work()
-        solids = len(self.states[-1].solid_position)
-        return Result(step=seconds, batches=predict.batches, peak=peak.bytes, solids=solids)
+        return Result(step=seconds, batches=predict.batches, peak=peak.bytes)
 
     def _stages(self, repeats: int) -> dict[str, float]:
         """Return the median time of each stage under the profiler, s."""
@@ -209,20 +198,17 @@ def _error(velocity: Tensor, reference: Path) -> float | None:
     return float(np.linalg.norm(velocity.float().numpy() - truth, axis=1).mean()) / scale
 
 
-def _limit_memory() -> None:
-    """Let an allocation beyond the free memory fail here, before the machine runs out of it."""
-    import resource
-
-    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    limit = int(0.9 * free_bytes(torch.device("cpu")))
-    resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
-
-
-def main(task: str, answer: str) -> None:
-    """Carry out the trial in one file and write its result to the other."""
-    trial: Trial = pickle.loads(Path(task).read_bytes())
+def main() -> None:
+    """Read a trial from stdin, carry it out and write its result to stdout."""
+    answer = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    # What libraries print must not get into the answer.
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    trial: Trial = pickle.load(sys.stdin.buffer)
     if sys.platform == "linux" and trial.options.device == "cpu":
-        _limit_memory()
+        # Lets an allocation beyond the free memory fail before the machine runs out of it.
+        _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+        limit = int(0.9 * free_bytes(torch.device("cpu")))
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
     try:
         result = measure(trial)
     except UserError as error:
@@ -232,8 +218,5 @@ def main(task: str, answer: str) -> None:
         if not out_of_memory and "allocate" not in str(error):
             raise
         result = Result(failure="out of memory")
-    Path(answer).write_bytes(pickle.dumps(result))
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])
+    with answer:
+        pickle.dump(result, answer)

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from math import nan
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import pandas as pd
+from jinja2 import Environment
 from matplotlib.figure import Figure
 
 from fluidsnet.reporting.table import markdown
 from fluidsnet.studies.machine import BUSY
-from fluidsnet.studies.speed import paper
-from fluidsnet.studies.speed.floor import Floor
-from fluidsnet.studies.speed.table import Row, number, speed_table, speed_up
-from fluidsnet.studies.speed.trial import STAGES
+from fluidsnet.studies.speed.measure import STAGES
+from fluidsnet.studies.speed.trial import Result, Trial
+
+# Method and result of a line.
+Row = tuple[Trial, Result]
 
 
 @dataclass
@@ -27,14 +31,16 @@ class Report:
         busy_before: Cores that other processes kept busy before the first measurement.
         rows: A method at a size each.
         batches: Measurements of the paper's Table 3.
-        floor: Lower bounds on the time of a step.
+        cores: Measurement of the processor.
+        floors: By number of particles: `bytes` and `operations` of a step, and its time `step`, s.
     """
 
     header: list[str] = field(default_factory=list)
     busy_before: float = 0.0
     rows: list[Row] = field(default_factory=list)
     batches: list[Row] = field(default_factory=list)
-    floor: Floor = field(default_factory=Floor)
+    cores: Result = field(default_factory=Result)
+    floors: dict[int, dict[str, float]] = field(default_factory=dict)
 
     @property
     def warnings(self) -> list[str]:
@@ -42,80 +48,106 @@ class Report:
         warnings = []
         if self.busy_before > BUSY:
             warnings.append(
-                f"the machine was busy before the first measurement: others took "
-                f"{self.busy_before:.1f} cores."
+                f"before the first measurement: others took {self.busy_before:.1f} cores."
             )
-        if self.floor.steps and self.floor.others > BUSY:
+        if self.floors and self.cores.others > BUSY:
             warnings.append(
-                f"the machine was busy while its cores were measured: others took "
-                f"{self.floor.others:.1f} cores; do not trust the floor."
+                f"while its cores were measured: others took {self.cores.others:.1f} cores; "
+                "do not trust the floor."
             )
         measured = [*self.rows, *self.batches]
-        busy = [row for row in measured if row.others > BUSY]
+        busy = {trial.name: result.others for trial, result in measured if result.others > BUSY}
         if busy:
-            names = "; ".join(row.name for row in busy)
             warnings.append(
-                f"the machine was busy during {len(busy)} of {len(measured)} measurements, "
-                f"others took up to {max(row.others for row in busy):.1f} cores; do not trust "
-                f"the times of: {names}."
+                f"during {len(busy)} of {len(measured)} measurements, others took up to "
+                f"{max(busy.values()):.1f} cores; do not trust the times of: {'; '.join(busy)}."
             )
-        return warnings
+        return [f"the machine was busy {warning}" for warning in warnings]
 
     def write(self, folder: Path) -> str:
         """Write ``speed.md``, ``speed.csv`` and ``speed.png``; return the Markdown."""
         folder.mkdir(parents=True, exist_ok=True)
         table = speed_table(self.rows)
         table.to_csv(folder / "speed.csv", index=False)
-        table["label"] = [row.label for row in self.rows]
+        table["label"] = [trial.label for trial, _ in self.rows]
         draw(table, folder / "speed.png")
-        parts = ["# Speed\n", *(f"- {line}" for line in self.header)]
-        parts += [f"\n**Warning: {line}**" for line in self.warnings]
-        parts += [
-            "\nThese times do not depend on the weights: a network steps as fast with random "
-            "weights, so they say nothing about accuracy.\n",
-            "## A step, and a simulated second\n",
-            "Median of the repeats; least and most in brackets.\n",
-            _steps(table),
-            "\n## Where a step's time goes, s\n",
-            "Medians of three steps under torch's profiler. `search + local` is one pass that "
-            "stores no edges, and `sort` puts the particles into its cells; other methods first "
-            "search and store the edges (`search`), then compute the feature (`local`). `rest` is "
-            "the time of a step without the profiler less the sum of the stages.\n",
-            _stages(table),
-            "\n## The search alone, its edges stored\n",
-            _searches(table),
-        ]
-        if self.floor.steps:
-            parts += ["\n## The floor\n", self.floor.page()]
-        if self.batches:
-            parts += [
-                "\n## Many frames at once, beside the paper's Table 3\n",
-                "Measured here on dam breaks with as many particles. The frames are known and each "
-                "is stepped once. A rollout gains nothing from it, since each of its frames needs "
-                "the one before.\n",
-                _batches(self.batches),
-                paper.table_3(),
-            ]
-        parts += ["\n## Large scenes: the paper's Table 4, for comparison\n", paper.table_4()]
-        text = "\n".join(parts)
-        (folder / "speed.md").write_text(text)
+        cores = self.cores.cores
+        page = Environment(trim_blocks=True, keep_trailing_newline=True).from_string(
+            Path(__file__).with_name("page.md").read_text(encoding="utf-8")
+        )
+        text = page.render(
+            header=self.header,
+            warnings=self.warnings,
+            steps=_steps(table),
+            stages=_stages(table),
+            searches=_searches(table),
+            cores=cores,
+            failure=self.cores.failure,
+            has_floor=bool(self.floors),
+            floors=_floors(self.floors, cores) if self.floors and cores else "",
+            batches=_batches(self.batches) if self.batches else "",
+        )
+        (folder / "speed.md").write_text(text, encoding="utf-8")
         return text
 
 
-def draw(table: pd.DataFrame, path: Path) -> None:
-    """Draw the time per simulated second against the number of particles, a line a method.
+def speed_table(rows: Sequence[Row]) -> pd.DataFrame:
+    """Return a line for each row; an empty cell is NaN. The speed-up is over IISPH."""
+    table = pd.DataFrame([_cells(*row) for row in rows])
+    table = table.astype({"peak bytes": "Int64", "error": float, "neighbors per particle": float})
+    table["speed-up"] = _speed_up(table, "IISPH")
+    return table
 
-    Args:
-        table: As of `speed_table`, with the column `label`; lines without a time are left out.
-        path: Path of the picture.
-    """
+
+def _cells(trial: Trial, result: Result) -> dict[str, object]:
+    """Return the cells of a row by the names of ``speed.csv``."""
+    network, time_step = trial.kind == "step", trial.options.time_step
+    step = median(result.step) if result.step else nan
+    return {
+        "fluid particles": trial.particles,
+        "wall particles": result.solids,
+        "method": "network" if network else trial.kind,
+        "neighbors": trial.neighbors if network else "",
+        "precision": trial.precision if network else "",
+        "torch.compile": trial.compile if network else "",
+        "time step s": time_step,
+        **_spread("step", result.step),
+        **_spread("search alone", result.search),
+        "s per simulated s": step / time_step,
+        "particles per s": trial.particles / step,
+        "peak bytes": result.peak,
+        "error": result.error,
+        "speed-up": nan,
+        **{f"{stage} s": result.stages.get(stage, nan) for stage in STAGES},
+        # Input, target, integrator and walls are part of no stage.
+        "rest s": max(0.0, step - sum(result.stages.values())) if result.stages else nan,
+        "neighbors per particle": result.edges,
+        "others' cores": round(result.others, 2),
+        "note": result.failure,
+    }
+
+
+def _spread(name: str, seconds: Sequence[float]) -> dict[str, float]:
+    values = (median(seconds), min(seconds), max(seconds)) if seconds else (nan, nan, nan)
+    return dict(zip((f"{name} s", f"{name} least s", f"{name} most s"), values, strict=True))
+
+
+def _speed_up(
+    table: pd.DataFrame, reference: str, by: str = "method", seconds: str = "s per simulated s"
+) -> pd.Series[float]:
+    """Return how many times as fast each line is as the line of its size with a reference `by`."""
+    times = table[table[by] == reference].groupby("fluid particles")[seconds].first()
+    return table["fluid particles"].map(times) / table[seconds]
+
+
+def draw(table: pd.DataFrame, path: Path) -> None:
+    """Draw the time per simulated second against the number of particles, a line a label."""
     measured = table.dropna(subset="step s")
     if measured.empty:
         return
     figure = Figure(figsize=(8.0, 5.5), layout="constrained")
     axes = figure.add_subplot()
-    for index, (_, lines) in enumerate(measured.groupby("label", sort=False)):
-        lines = lines.sort_values("fluid particles")
+    for index, (label, lines) in enumerate(measured.groupby("label", sort=False)):
         middle, least, most = (
             lines[f"step{part} s"] / lines["time step s"] for part in ("", " least", " most")
         )
@@ -124,19 +156,15 @@ def draw(table: pd.DataFrame, path: Path) -> None:
             lines["fluid particles"],
             middle,
             yerr=[middle - least, most - middle],
-            label=lines["label"].iloc[0],
-            color="black" if solver else f"C{index % 10}",
+            label=str(label),
+            color="black" if solver else f"C{index}",
             linestyle="--" if solver else "-",
             marker="os^Dv*xP+<>"[index % 11],
             markersize=4,
             capsize=2,
             linewidth=1.2,
         )
-    axes.axhline(1.0, color="gray", linewidth=0.8)
-    axes.text(
-        0.99, 0.95, "real time", color="gray", ha="right", va="top",
-        transform=axes.get_yaxis_transform(),
-    )  # fmt: skip
+    axes.axhline(1.0, color="gray", linewidth=0.8, label="real time")
     axes.set(
         xscale="log", yscale="log", xlabel="fluid particles", ylabel="seconds per simulated second"
     )
@@ -145,79 +173,92 @@ def draw(table: pd.DataFrame, path: Path) -> None:
     figure.savefig(path, dpi=120)
 
 
+def number(value: float | str | None) -> str:
+    """Format a number with three digits or all before the point; – for none."""
+    if isinstance(value, str):
+        return value
+    if value is None or pd.isna(value):
+        return "–"
+    text = f"{value:.3g}"
+    # Numbers that are rounded up to 1,000 would get an exponent, too.
+    return f"{value:,.0f}" if abs(float(text)) >= 1000 else text
+
+
+def _markdown(columns: dict[str, Any]) -> str:
+    """Return columns of numbers and texts as a Markdown table."""
+    rows = zip(*columns.values(), strict=True)
+    return markdown(list(columns), [list(map(number, row)) for row in rows])
+
+
 def _steps(table: pd.DataFrame) -> str:
     measured = table["step s"].notna()
     return _markdown(
         {
-            "fluid": table["fluid particles"].map("{:,}".format),
-            "walls": table["wall particles"].map("{:,}".format).where(measured, ""),
+            "fluid": table["fluid particles"],
+            "walls": table["wall particles"].where(measured),
             "method": table["label"],
             "step ms": _milliseconds(table, "step").where(measured, table["note"]),
-            "s per simulated s": table["s per simulated s"].map(number),
-            "particles/s": table["particles per s"].map(lambda value: number(value, ",.0f")),
-            "peak MB": (table["peak bytes"] / 1e6).map(lambda value: number(value, ".0f")),
-            "error": table["error"].map(lambda value: number(value, ".1e")),
-            "× IISPH": table["speed-up"].map(number),
-            "× DFSPH": speed_up(table, "DFSPH").map(number),
+            "s per simulated s": table["s per simulated s"],
+            "particles/s": table["particles per s"],
+            "peak MB": table["peak bytes"] / 1e6,
+            "error": table["error"],
+            "× IISPH": table["speed-up"],
+            "× DFSPH": _speed_up(table, "DFSPH"),
         }
     )
 
 
 def _stages(table: pd.DataFrame) -> str:
     table = table.dropna(subset="rest s")
-    return _markdown(
-        {
-            "fluid": table["fluid particles"].map("{:,}".format),
-            "method": table["label"],
-            **{stage: table[f"{stage} s"].map(number) for stage in (*STAGES, "rest")},
-        }
-    )
+    stages = {stage: table[f"{stage} s"] for stage in (*STAGES, "rest")}
+    return _markdown({"fluid": table["fluid particles"], "method": table["label"], **stages})
 
 
 def _searches(table: pd.DataFrame) -> str:
     table = table.dropna(subset="search alone s")
-    ratio = speed_up(table, "TorchCluster", by="neighbors", seconds="search alone s")
     return _markdown(
         {
-            "fluid": table["fluid particles"].map("{:,}".format),
+            "fluid": table["fluid particles"],
             "search": table["neighbors"],
             "ms": _milliseconds(table, "search alone"),
-            "neighbors per particle": table["neighbors per particle"].map(number),
-            "× torch-cluster": ratio.map(number),
+            "neighbors per particle": table["neighbors per particle"],
+            "× torch-cluster": _speed_up(table, "TorchCluster", "neighbors", "search alone s"),
+        }
+    )
+
+
+def _floors(floors: dict[int, dict[str, float]], cores: dict[str, float]) -> str:
+    table = pd.DataFrame.from_dict(floors, orient="index").sort_index()
+    return _markdown(
+        {
+            "fluid": table.index,
+            "MB": table["bytes"] / 1e6,
+            "ms for MB": 1000 * table["bytes"] / cores["bandwidth"],
+            "Gflop": table["operations"] / 1e9,
+            "ms for Gflop": 1000 * table["operations"] / cores["flops"],
+            "measured ms": 1000 * table["step"],
         }
     )
 
 
 def _batches(rows: Sequence[Row]) -> str:
-    cells = []
-    for row in rows:
-        seconds, solver = median(row.result.step), row.solver
-        cells.append(
-            [
-                f"{row.particles:,}",
-                f"{row.frames} in {'+'.join(map(str, row.result.batches))}",
-                number(solver),
-                number(seconds),
-                number(seconds / row.frames),
-                number((row.result.peak or 0) / 1e6, ".0f"),
-                number(None if solver is None else solver * row.frames / seconds),
-            ]
-        )
-    header = (
-        "fluid", "frames", "IISPH s a frame", "prediction s", "s a frame", "peak MB", "× IISPH"
-    )  # fmt: skip
-    return markdown(header, cells)
+    table = pd.DataFrame(
+        {
+            "fluid": trial.particles,
+            "frames": f"{trial.options.batch} in {'+'.join(map(str, result.batches))}",
+            "IISPH s a frame": result.solver or nan,
+            "prediction s": median(result.step),
+            "s a frame": median(result.step) / trial.options.batch,
+            "peak MB": (result.peak or 0) / 1e6,
+        }
+        for trial, result in rows
+    )
+    return _markdown({**table, "× IISPH": table["IISPH s a frame"] / table["s a frame"]})
 
 
 def _milliseconds(table: pd.DataFrame, name: str) -> pd.Series[str]:
     """Return the median of a time with least and most in brackets, ms."""
-    columns = (table[f"{name}{part} s"] for part in ("", " least", " most"))
-    texts = [
-        "{} ({} to {})".format(*(number(1000 * seconds) for seconds in times))
-        for times in zip(*columns, strict=True)
-    ]
+    columns = [1000 * table[f"{name}{part} s"] for part in ("", " least", " most")]
+    rows = zip(*columns, strict=True)
+    texts = ["{} ({} to {})".format(*map(number, times)) for times in rows]
     return pd.Series(texts, index=table.index, dtype=str)
-
-
-def _markdown(columns: dict[str, Sequence[str] | pd.Series[str]]) -> str:
-    return markdown(list(columns), list(zip(*columns.values(), strict=True)))
