@@ -8,10 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from datamodules.generate.job import PARAMETERS, SOLVER_STEPS, Job, SolverName
+from datamodules.generate.job import (
+    AKINCI_2012,
+    PARAMETERS,
+    REGULAR_TRIANGLES,
+    SOLVER_STEPS,
+    Job,
+    SolverName,
+)
 from datamodules.generate.scenes import Body, SceneKind, Vector
 from datamodules.generate.symmetry import Symmetries
-from datamodules.schema import SPLITS
+from datamodules.schema import SPLITS, Header
 from fluidsnet.errors import UserError
 
 #: Greatest number of draws for a scene that differs from the others.
@@ -63,13 +70,11 @@ class Recipe:
                 f"frame_interval ({self.frame_interval} s) must be a whole number of "
                 f"solver steps ({self.step} s)."
             )
-        if self.frames < 2:
-            raise UserError(f"frames is {self.frames}; a simulation needs at least two.")
         if not self.particle_radius > 0:
             raise UserError(f"particle_radius is {self.particle_radius}; it must be above zero.")
-        for split in SPLITS:
-            if getattr(self, split) < 0:
-                raise UserError(f"{split} is {getattr(self, split)}; it must be at least zero.")
+        for name, least in (("frames", 2), *((split, 0) for split in SPLITS)):
+            if getattr(self, name) < least:
+                raise UserError(f"{name} is {getattr(self, name)}; it must be at least {least}.")
         if self.train + self.val + self.test == 0:
             raise UserError("train, val and test are all zero; there is nothing to simulate.")
 
@@ -104,7 +109,7 @@ class Recipe:
 
         # Test and validation are drawn first, so they do not depend on the size of training.
         for split in reversed(SPLITS):
-            wanted = is_new
+            held_out, wanted = list(drawn.values()), is_new
             for number in range(getattr(self, split)):
                 random = np.random.default_rng(self.entropy(split, number))
                 bodies = self._draw(random, wanted)
@@ -119,19 +124,14 @@ class Recipe:
                         "particles, wider ranges or fewer simulations."
                     )
                 drawn[split, number] = bodies
-            if split != "train":
-                held_out = list(drawn.values())
         return drawn
 
     def _draw(
         self, random: np.random.Generator, wanted: Callable[[list[Body]], bool]
     ) -> list[Body] | None:
         """Draw until a scene is wanted; return None after too many draws."""
-        for _ in range(_DRAWS):
-            bodies = self.scene.sample(random, self.particle_radius)
-            if wanted(bodies):
-                return bodies
-        return None
+        draws = (self.scene.sample(random, self.particle_radius) for _ in range(_DRAWS))
+        return next(filter(wanted, draws), None)
 
     def entropy(self, split: str, number: int) -> list[int]:
         """Return the seed of a simulation."""
@@ -139,20 +139,36 @@ class Recipe:
 
     def job(self, split: str, number: int, bodies: list[Body], output: Path, threads: int) -> Job:
         """Return the job of a simulation, given its start from `starts`."""
-        return Job(
-            output=str(output),
+        parameters = {**PARAMETERS[self.solver], **(self.solver_parameters or {})}
+        steps_per_frame = round(self.frame_interval / self.step)
+        header = Header(
             scene=type(self.scene).__name__,
             solver=self.solver,
-            domain=self.scene.domain,
-            particle_radius=self.particle_radius,
+            solver_version="",
+            solver_parameters={
+                **parameters,
+                "timeStepSize": self.step,
+                "viscosity": self.viscosity,
+                "boundaryHandlingMethod": AKINCI_2012,
+                "samplingMode": REGULAR_TRIANGLES,
+            },
+            domain_lower=(0.0, 0.0, 0.0),
+            domain_upper=self.scene.domain,
             gravity=self.gravity,
+            particle_radius=self.particle_radius,
+            support_radius=4 * self.particle_radius,
+            dt=steps_per_frame * self.step,
             density0=self.density0,
             viscosity=self.viscosity,
+        )
+        return Job(
+            output=str(output),
+            header=header,
             solver_step=self.step,
-            steps_per_frame=round(self.frame_interval / self.step),
+            steps_per_frame=steps_per_frame,
             frames=self.frames,
             seed=self.entropy(split, number),
             bodies=bodies,
             threads=threads,
-            parameters={**PARAMETERS[self.solver], **(self.solver_parameters or {})},
+            parameters=parameters,
         )

@@ -32,7 +32,7 @@ class Recorder:
         self.frames = 0
         self.seconds = 0.0
         self._steps = 0
-        self._upper = np.array(job.domain)
+        self._upper = np.array(job.header.domain_upper)
         position, velocity = self._fluid()
         self.position, self.velocity = create_frames(group, len(position))
         self._times: list[float] = []
@@ -91,7 +91,7 @@ class Recorder:
         return position, velocity
 
     def _store(self, position: NDArray[np.float32], velocity: NDArray[np.float32]) -> None:
-        radius = self.job.particle_radius
+        radius = self.job.header.particle_radius
         if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
             raise RuntimeError(f"a particle is not finite in frame {self.frames}")
         outside = np.any((position < -radius) | (position > self._upper + radius), axis=1)

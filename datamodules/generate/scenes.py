@@ -73,12 +73,11 @@ def describe(body: Body) -> dict[str, Any]:
 class SceneKind(ABC):
     """Distribution of random scenes.
 
-    Args:
+    Attributes:
         domain: Edges of the box of fluid and air, in m; its lower corner is the origin.
     """
 
-    def __init__(self, domain: Vector) -> None:
-        self.domain = domain
+    domain: Vector
 
     @abstractmethod
     def sample(self, random: np.random.Generator, particle_radius: float) -> list[Body]:
@@ -122,6 +121,7 @@ class SceneKind(ABC):
 
 
 @final
+@dataclass
 class DamBreak(SceneKind):
     """Column of fluid that collapses in a corner of a basin (figures 5b and 8).
 
@@ -132,15 +132,10 @@ class DamBreak(SceneKind):
         depth: Depth of the column, as a share of the z edge of the domain.
     """
 
-    def __init__(
-        self,
-        domain: Vector = (6.0, 4.0, 6.0),
-        width: Range = (0.35, 0.55),
-        height: Range = (0.66, 0.90),
-        depth: Range = (0.84, 1.0),
-    ) -> None:
-        super().__init__(domain)
-        self.width, self.height, self.depth = width, height, depth
+    domain: Vector = (6.0, 4.0, 6.0)
+    width: Range = (0.35, 0.55)
+    height: Range = (0.66, 0.90)
+    depth: Range = (0.84, 1.0)
 
     def sample(self, random: np.random.Generator, particle_radius: float) -> list[Body]:
         shares = [random.uniform(*extent) for extent in (self.width, self.height, self.depth)]
@@ -151,6 +146,7 @@ class DamBreak(SceneKind):
 
 
 @final
+@dataclass
 class CuboidBasin(SceneKind):
     """Cuboid of fluid that falls into an empty basin (figures 5a and 7).
 
@@ -160,14 +156,9 @@ class CuboidBasin(SceneKind):
         lift: Height of the cuboid's lower face, as a share of the y edge of the domain.
     """
 
-    def __init__(
-        self,
-        domain: Vector = (7.0, 7.0, 7.0),
-        edge: Range = (0.36, 0.51),
-        lift: Range = (0.25, 0.45),
-    ) -> None:
-        super().__init__(domain)
-        self.edge, self.lift = edge, lift
+    domain: Vector = (7.0, 7.0, 7.0)
+    edge: Range = (0.36, 0.51)
+    lift: Range = (0.25, 0.45)
 
     def sample(self, random: np.random.Generator, particle_radius: float) -> list[Body]:
         edges = random.uniform(*self.edge, size=3) * min(self.domain)
@@ -178,6 +169,7 @@ class CuboidBasin(SceneKind):
 
 
 @final
+@dataclass
 class DropPool(SceneKind):
     """Drop that falls into a pool of resting fluid (figures 5c and 9).
 
@@ -189,16 +181,11 @@ class DropPool(SceneKind):
         mesh: OBJ file with a closed surface to use in place of a ball.
     """
 
-    def __init__(
-        self,
-        domain: Vector = (7.0, 7.0, 7.0),
-        pool: Range = (0.15, 0.20),
-        radius: Range = (0.15, 0.21),
-        fall: Range = (0.05, 0.35),
-        mesh: Path | None = None,
-    ) -> None:
-        super().__init__(domain)
-        self.pool, self.radius, self.fall, self.mesh = pool, radius, fall, mesh
+    domain: Vector = (7.0, 7.0, 7.0)
+    pool: Range = (0.15, 0.20)
+    radius: Range = (0.15, 0.21)
+    fall: Range = (0.05, 0.35)
+    mesh: Path | None = None
 
     def sample(self, random: np.random.Generator, particle_radius: float) -> list[Body]:
         depth = random.uniform(*self.pool) * self.domain[1]

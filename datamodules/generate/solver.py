@@ -14,31 +14,34 @@ import os
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 
 import h5py
 
-from datamodules.generate.job import AKINCI_2012, REGULAR_TRIANGLES, Job, scene_file
+from datamodules.generate.job import Job, scene_file
 from datamodules.generate.recorder import EscapedError, Recorder
 from datamodules.generate.scenes import describe
-from datamodules.schema import Header
 from fluidsnet.errors import UserError
 
 #: Simulated time that no simulation reaches, s.
 _NEVER = 1e6
+_MISSING = (
+    "The solver SPlisHSPlasH cannot be loaded ({}); install it with "
+    "`pip install 'fluidsnet[solver]'`."
+)
 
 
 def load_solver() -> ModuleType:
     """Import pysplishsplash.
 
-    It crashes if libGL of the system is loaded after it, so libGL is loaded first.
-
     Raises:
         UserError: the solver or libGL is not installed.
     """
     try:
+        # Before the solver, which crashes if libGL is loaded after it.
         ctypes.CDLL("libGL.so.1", mode=ctypes.RTLD_GLOBAL)
     except OSError as error:
         raise UserError(
@@ -48,10 +51,7 @@ def load_solver() -> ModuleType:
     try:
         import pysplishsplash
     except ImportError as error:
-        raise UserError(
-            "The solver SPlisHSPlasH cannot be loaded "
-            f"({error}); install it with `pip install 'fluidsnet[solver]'`."
-        ) from error
+        raise UserError(_MISSING.format(error)) from error
     module: ModuleType = pysplishsplash
     return module
 
@@ -65,10 +65,7 @@ def solver_version() -> str:
     try:
         return metadata.version("pysplishsplash")
     except metadata.PackageNotFoundError as error:
-        raise UserError(
-            "The solver SPlisHSPlasH is not installed; "
-            "install it with `pip install 'fluidsnet[solver]'`."
-        ) from error
+        raise UserError(_MISSING.format(error)) from error
 
 
 def simulate(job: Job, report: int) -> None:
@@ -109,7 +106,7 @@ def simulate(job: Job, report: int) -> None:
             base.runSimulation()
             clock.setTime(0.0)
             with h5py.File(partial, "w") as file:
-                _header(job).write(file)
+                replace(job.header, solver_version=solver_version()).write(file)
                 group = file.create_group("00000")
                 group.attrs["seed"] = json.dumps(job.seed)
                 group.attrs["scene_parameters"] = json.dumps([*map(describe, job.bodies)])
@@ -129,35 +126,12 @@ def simulate(job: Job, report: int) -> None:
         partial.unlink(missing_ok=True)
 
 
-def _header(job: Job) -> Header:
-    return Header(
-        scene=job.scene,
-        solver=job.solver,
-        solver_version=solver_version(),
-        solver_parameters={
-            **job.parameters,
-            "timeStepSize": job.solver_step,
-            "viscosity": job.viscosity,
-            "boundaryHandlingMethod": AKINCI_2012,
-            "samplingMode": REGULAR_TRIANGLES,
-        },
-        domain_lower=(0.0, 0.0, 0.0),
-        domain_upper=job.domain,
-        gravity=job.gravity,
-        particle_radius=job.particle_radius,
-        support_radius=4 * job.particle_radius,
-        dt=job.steps_per_frame * job.solver_step,
-        density0=job.density0,
-        viscosity=job.viscosity,
-    )
-
-
 def main(arguments: list[str]) -> int:
     """Run a job: the arguments are its file and the file descriptor to report to."""
     job = Job.from_json(Path(arguments[0]).read_text())
     try:
         simulate(job, int(arguments[1]))
-    except BrokenPipeError:
+    except BrokenPipeError:  # the process that started this one is gone
         return 1
     except (UserError, EscapedError, RuntimeError) as error:
         print(error, file=sys.stderr, flush=True)
