@@ -15,16 +15,9 @@ from fluidsnet.particles import RolloutStart
 
 @final
 class SimulationTruth:
-    """True states of a simulation, a stride apart, read one at a time.
+    """True states of a simulation, from a frame on and a stride apart, read one at a time."""
 
-    Args:
-        reader: Reader of the file.
-        simulation: Name of the simulation.
-        stride: Frames from a state to the next.
-        first: Frame of the first state.
-    """
-
-    def __init__(self, reader: FrameReader, simulation: str, stride: int, first: int = 0) -> None:
+    def __init__(self, reader: FrameReader, simulation: str, stride: int, first: int) -> None:
         self.reader, self.simulation = reader, simulation
         self.stride, self.first = stride, first
 
@@ -86,10 +79,8 @@ class HDF5RolloutStarts(Dataset[RolloutStart]):
                     )
                 self.names.append(name)
                 self.first.append(first)
-                if steps is None:
-                    self.steps.append(known)
-                else:
-                    self.steps.append(steps if beyond_truth else min(steps, known))
+                longest = known if steps is None or not beyond_truth else steps
+                self.steps.append(longest if steps is None else min(steps, longest))
 
     def __len__(self) -> int:
         return len(self.names)

@@ -38,29 +38,17 @@ REGULAR_TRIANGLES = 1
 
 @dataclass(frozen=True)
 class Job:
-    """Settings of one simulation.
+    """Settings of one simulation."""
 
-    Attributes:
-        output: File to write once the simulation is complete.
-        header: Attributes of the file, without the version of the solver.
-        solver_step: Time step of the solver, s.
-        steps_per_frame: Solver steps between two stored frames.
-        frames: Number of stored frames, the start included.
-        seed: Seed of the random generator that drew the scene.
-        bodies: Fluid at the start.
-        threads: OpenMP threads.
-        parameters: Parameters of the pressure solver, under SPlisHSPlasH's names.
-    """
-
-    output: str
-    header: Header
-    solver_step: float
-    steps_per_frame: int
-    frames: int
-    seed: list[int]
-    bodies: list[Body]
-    threads: int
-    parameters: dict[str, float]
+    output: str  # file to write once the simulation is complete
+    header: Header  # attributes of the file, without those that only the solver's process knows
+    solver_step: float  # time step of the solver, s
+    steps_per_frame: int  # solver steps between two stored frames
+    frames: int  # number of stored frames, the start included
+    seed: list[int]  # of the random generator that drew the scene
+    bodies: list[Body]  # fluid at the start
+    threads: int  # OpenMP threads
+    parameters: dict[str, float]  # of the pressure solver, under SPlisHSPlasH's names
 
     def to_json(self) -> str:
         """Return the job as JSON text."""

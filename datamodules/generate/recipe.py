@@ -8,14 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datamodules.generate.job import (
-    AKINCI_2012,
-    PARAMETERS,
-    REGULAR_TRIANGLES,
-    SOLVER_STEPS,
-    Job,
-    SolverName,
-)
+from datamodules.generate.job import PARAMETERS, SOLVER_STEPS, Job, SolverName
 from datamodules.generate.scenes import Body, SceneKind, Vector
 from datamodules.generate.symmetry import Symmetries
 from datamodules.schema import SPLITS, Header
@@ -139,19 +132,12 @@ class Recipe:
 
     def job(self, split: str, number: int, bodies: list[Body], output: Path, threads: int) -> Job:
         """Return the job of a simulation, given its start from `starts`."""
-        parameters = {**PARAMETERS[self.solver], **(self.solver_parameters or {})}
         steps_per_frame = round(self.frame_interval / self.step)
         header = Header(
             scene=type(self.scene).__name__,
             solver=self.solver,
             solver_version="",
-            solver_parameters={
-                **parameters,
-                "timeStepSize": self.step,
-                "viscosity": self.viscosity,
-                "boundaryHandlingMethod": AKINCI_2012,
-                "samplingMode": REGULAR_TRIANGLES,
-            },
+            solver_parameters={},
             domain_lower=(0.0, 0.0, 0.0),
             domain_upper=self.scene.domain,
             gravity=self.gravity,
@@ -170,5 +156,5 @@ class Recipe:
             seed=self.entropy(split, number),
             bodies=bodies,
             threads=threads,
-            parameters=parameters,
+            parameters={**PARAMETERS[self.solver], **(self.solver_parameters or {})},
         )

@@ -41,10 +41,7 @@ class Recorder:
         self._store(position, velocity)
 
     def step(self, seconds: float) -> None:
-        """Record a step of the solver.
-
-        Args:
-            seconds: Wall time of the step, s.
+        """Record a step of the solver that took this wall time, s.
 
         Raises:
             EscapedError: a particle left the domain.
@@ -75,20 +72,15 @@ class Recorder:
 
     def _fluid(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         simulation = self.solver.Simulation.getCurrent()
-        models = [
-            simulation.getFluidModel(number) for number in range(simulation.numberOfFluidModels())
-        ]
-        # The buffers belong to the solver and have room for emitters: cut and copy.
-        position, velocity = (
-            np.concatenate(
-                [
-                    np.array(model.getFieldBuffer(name))[: model.numActiveParticles()]
-                    for model in models
-                ]
+        models = [*map(simulation.getFluidModel, range(simulation.numberOfFluidModels()))]
+
+        def field(name: str) -> NDArray[np.float32]:
+            # The buffers belong to the solver and have room for emitters: cut and copy.
+            return np.concatenate(
+                [np.array(it.getFieldBuffer(name))[: it.numActiveParticles()] for it in models]
             )
-            for name in ("position", "velocity")
-        )
-        return position, velocity
+
+        return field("position"), field("velocity")
 
     def _store(self, position: NDArray[np.float32], velocity: NDArray[np.float32]) -> None:
         radius = self.job.header.particle_radius
@@ -100,10 +92,9 @@ class Recorder:
                 f"{int(outside.sum())} of {len(position)} particles left through a wall "
                 f"by frame {self.frames}"
             )
-        self.position.resize(self.frames + 1, axis=0)
-        self.velocity.resize(self.frames + 1, axis=0)
-        self.position[self.frames] = position
-        self.velocity[self.frames] = velocity
+        for dataset, values in ((self.position, position), (self.velocity, velocity)):
+            dataset.resize(self.frames + 1, axis=0)
+            dataset[self.frames] = values
         self._times.append(self.frames * self.job.steps_per_frame * self.job.solver_step)
         self._solver_seconds.append(self.seconds)
         self.seconds = 0.0
@@ -113,15 +104,7 @@ class Recorder:
 
     def _store_solids(self) -> None:
         simulation = self.solver.Simulation.getCurrent()
-        points = [
-            model.getPosition(row)
-            for model in map(
-                simulation.getBoundaryModel, range(simulation.numberOfBoundaryModels())
-            )
-            for row in range(model.numberOfParticles())
-        ]
-        self.group.create_dataset(
-            "solid_position",
-            data=np.array(points, dtype=np.float32).reshape(-1, 3),
-            **COMPRESSION,
-        )
+        models = map(simulation.getBoundaryModel, range(simulation.numberOfBoundaryModels()))
+        points = [it.getPosition(row) for it in models for row in range(it.numberOfParticles())]
+        solids = np.array(points, dtype=np.float32).reshape(-1, 3)
+        self.group.create_dataset("solid_position", data=solids, **COMPRESSION)

@@ -21,9 +21,10 @@ from types import ModuleType
 
 import h5py
 
-from datamodules.generate.job import Job, scene_file
+from datamodules.generate.job import AKINCI_2012, REGULAR_TRIANGLES, Job, scene_file
 from datamodules.generate.recorder import EscapedError, Recorder
 from datamodules.generate.scenes import describe
+from datamodules.schema import Header
 from fluidsnet.errors import UserError
 
 #: Simulated time that no simulation reaches, s.
@@ -106,7 +107,7 @@ def simulate(job: Job, report: int) -> None:
             base.runSimulation()
             clock.setTime(0.0)
             with h5py.File(partial, "w") as file:
-                replace(job.header, solver_version=solver_version()).write(file)
+                _header(job).write(file)
                 group = file.create_group("00000")
                 group.attrs["seed"] = json.dumps(job.seed)
                 group.attrs["scene_parameters"] = json.dumps([*map(describe, job.bodies)])
@@ -124,6 +125,17 @@ def simulate(job: Job, report: int) -> None:
         partial.replace(output)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _header(job: Job) -> Header:
+    parameters = {
+        **job.parameters,
+        "timeStepSize": job.solver_step,
+        "viscosity": job.header.viscosity,
+        "boundaryHandlingMethod": AKINCI_2012,
+        "samplingMode": REGULAR_TRIANGLES,
+    }
+    return replace(job.header, solver_version=solver_version(), solver_parameters=parameters)
 
 
 def main(arguments: list[str]) -> int:

@@ -39,9 +39,6 @@ class Symmetries:
     def images(self, bodies: list[Body]) -> NDArray[np.float64]:
         """Compute the bounding boxes of the bodies under each symmetry.
 
-        Args:
-            bodies: Bodies of a scene.
-
         Returns:
             (S, B, 2, 3): lower and upper corner, m, of B bodies under S symmetries.
         """
@@ -51,15 +48,10 @@ class Symmetries:
         return np.sort(np.where(mirrors, self._edges - turned, turned), axis=2)
 
     def alike(self, first: list[Body], second: list[Body], distance: float) -> bool:
-        """Return whether a symmetry maps each body of one scene onto that of another.
+        """Return True if a symmetry maps each body of one scene onto that of another.
 
-        A mesh is taken to be symmetric, so different scenes may count as alike, but never the
-        reverse.
-
-        Args:
-            first: Bodies of a scene.
-            second: Bodies of another scene.
-            distance: Greatest distance between the corners of two equal boxes, m.
+        Their boxes may be less than `distance` apart, m. A mesh is taken to be symmetric, so
+        different scenes may count as alike, but never the reverse.
         """
         if [_form(body) for body in first] != [_form(body) for body in second]:
             return False
