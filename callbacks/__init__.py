@@ -1,4 +1,4 @@
-"""Lightning callbacks, one behavior a file."""
+"""Lightning callbacks, one per file."""
 
 from callbacks.ablation import Ablation as Ablation
 from callbacks.ablation_picture import AblationPicture as AblationPicture
@@ -13,6 +13,5 @@ from callbacks.rollout_mesh import RolloutMesh as RolloutMesh
 from callbacks.rollout_metrics import RolloutMetrics as RolloutMetrics
 from callbacks.rollout_picture import RolloutPicture as RolloutPicture
 from callbacks.rollout_progress import RolloutProgress as RolloutProgress
-from callbacks.rollout_table import RolloutTable as RolloutTable
 from callbacks.speed_monitor import SpeedMonitor as SpeedMonitor
 from callbacks.trajectory_writer import TrajectoryWriter as TrajectoryWriter

@@ -13,7 +13,7 @@ from torch import nn
 
 from fluidsnet.baselines import TRIVIAL_PREDICTORS
 from fluidsnet.errors import UserError
-from fluidsnet.metrics.rollout_suite import BESIDE
+from fluidsnet.metrics.suite import BASELINES
 from fluidsnet.model import BLOCKS, Block, Model, can_be
 from fluidsnet.module import FluidsNet
 from fluidsnet.particles import Transitions
@@ -26,7 +26,7 @@ _CHARTS = ("train_loss", "velocity_mse", "skill", "position_error_1_mm")
 
 
 class Ablation(Callback, ChartSource):
-    """Train, beside the model, a twin in which one block is another.
+    """Train a twin of the model that differs in one block beside it.
 
     Both start from the same weights where these correspond, get the same batches with the same
     noise, and have their gradients clipped apart. The model trains bit for bit as it would
@@ -66,7 +66,7 @@ class Ablation(Callback, ChartSource):
             )
         if not can_be(block, variant):
             raise UserError(f"Ablation: {_label(variant)} cannot be the {block} of a FluidsNet.")
-        taken = {"model", *TRIVIAL_PREDICTORS, *BESIDE, *dir(nn.ModuleDict)}
+        taken = {"model", *TRIVIAL_PREDICTORS, *BASELINES, *dir(nn.ModuleDict)}
         if not re.fullmatch("[a-z][a-z0-9_]*", name) or name in taken:
             raise UserError(
                 f"Ablation: the name {name!r} is taken or has characters other than lower-case "

@@ -1,41 +1,30 @@
-"""Models that train side by side, drawn below the truth."""
+"""Picture of rollouts of the model and its twins, below the truth."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import replace
 
-import numpy as np
-import torch
 from lightning import Callback, LightningModule, Trainer
-from lightning.pytorch.loggers import TensorBoardLogger
-from numpy.typing import NDArray
-from PIL import Image
-from torch import Tensor
-from tqdm import tqdm
 
 from fluidsnet.errors import UserError
-from fluidsnet.export.render import Panel, side_by_side
-from fluidsnet.export.speed_colors import speed_scale
-from fluidsnet.module import FluidsNet
-from fluidsnet.particles import RolloutStart, RolloutStarts
-from fluidsnet.reporting.run_folder import run_folder
-from fluidsnet.rollout import rollout
-
-#: Position and velocity by the number of steps, each (N, 3), m and m/s, on the CPU.
-_States = dict[int, tuple[Tensor, Tensor]]
+from fluidsnet.particles import RolloutStarts
+from fluidsnet.progress import Progress
+from fluidsnet.reporting.requirements import is_first, require_fluidsnet, require_rollout_starts
+from fluidsnet.reporting.results import results_folder
+from fluidsnet.reporting.rollout_frames import Frames, draw_frames, keep_frames, roll_out
 
 
 class AblationPicture(Callback):
-    """In ``test``, draws the truth and a rollout of each model as ``ablation.png``.
+    """Draw the truth and a rollout of each model in ``test``, as ``ablation.png``.
 
-    All roll out from the first frame of the test split's first simulation. The truth has a row,
-    the model one, and each twin of an `Ablation` one; time goes to the right. Particles are
-    colored by their speed, from blue at rest to white (paper, Fig. 12), on the truth's scale,
-    so that a model that blows up does not turn all others dark; what is not finite is not
-    drawn, and the title says so. TensorBoard has the picture as ``ablation/speed``.
+    Rollouts start at the first frame of the test split's first simulation. The truth, the model
+    and each twin of an `Ablation` have a row; time goes to the right. Particles are colored by
+    speed, from blue at rest to white (paper, Fig. 12), on the truth's scale. Particles that are
+    not finite are left out, and the title says so. TensorBoard has the picture as
+    ``ablation/speed``.
 
-    Of several only the first in the list draws. A FluidsNet without twins is drawn by itself.
+    Of several callbacks of this class only the first draws.
 
     Example:
         .. code-block:: yaml
@@ -46,110 +35,45 @@ class AblationPicture(Callback):
                 times: [0, 0.25, 0.5, 1.0]
 
     Args:
-        times: where the columns of the picture are, as shares of the truth's length.
+        times: Times of the columns, as shares of the truth's length.
 
     Raises:
-        UserError: there are no times, or one is no share.
+        UserError: there are no times, or one is not between 0 and 1.
     """
 
     def __init__(self, times: Sequence[float] = (0, 0.25, 0.5, 1.0)) -> None:
         if not times or not all(0 <= time <= 1 for time in times):
             raise UserError(
-                f"AblationPicture: times is {list(times)}; they are shares of the truth's length, "
-                "from 0 to 1, and there must be one."
+                f"AblationPicture: times is {list(times)}; give at least one share of the truth's "
+                "length, from 0 to 1."
             )
         self.times = times
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        """Checks who is rolled out, and learns the run's folder.
-
-        Raises:
-            UserError: the module is not a FluidsNet, or the data to test on give no rollouts.
-        """
-        if not isinstance(pl_module, FluidsNet):
-            raise UserError("AblationPicture draws rollouts of FluidsNet alone.")
-        data = getattr(trainer, "datamodule", None)
-        if stage == "test" and not hasattr(data, "rollout_starts"):
-            raise UserError(
-                "AblationPicture needs a data module with rollout_starts, such as SPHDataModule."
-            )
-        callbacks: list[Callback] = trainer.callbacks  # type: ignore[attr-defined]
-        self._first = next(of for of in callbacks if isinstance(of, AblationPicture)) is self
-        # Asked for by all processes, since they agree on it.
-        self._folder = run_folder(trainer)
+        """Check the module and the data, and look up the folder, all processes together."""
+        require_fluidsnet(self, pl_module)
+        if stage == "test":
+            self._data = require_rollout_starts(self, trainer)
+            self._folder = results_folder(trainer)
 
     def on_test_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Rolls out and draws."""
-        if not self._first or not trainer.is_global_zero:
+        """Roll out and draw."""
+        if not trainer.is_global_zero or not is_first(self, trainer):
             return
-        assert isinstance(pl_module, FluidsNet)
-        data: Any = trainer.datamodule  # type: ignore[attr-defined]
-        starts: RolloutStarts = data.rollout_starts("test", [0], None, 1)
-        start = starts[0]
+        module = require_fluidsnet(self, pl_module)
+        starts: RolloutStarts = self._data.rollout_starts("test", [0], None, 1)
+        start = starts[0].to(module.device)
         steps = [round(share * start.steps) for share in self.times]
-        truth = {step: start.truth[step] for step in steps}
-        rows = {"truth": truth, **self._roll_out(trainer, pl_module, start, steps)}
-        scene = start.state.scene
-        panels = [
-            _panel(name, step * scene.time_step, states[step])
-            for name, states in rows.items()
-            for step in steps
-        ]
-        path = self._folder / "ablation.png"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        side_by_side(
-            path,
-            panels,
-            scene.domain_lower.tolist(),
-            scene.domain_upper.tolist(),
-            scene.particle_radius,
-            speed_max=speed_scale([_speed(velocity.numpy()) for _, velocity in truth.values()]),
-            columns=len(steps),
+        models = module.named_models()
+        frames: Frames = {name: {} for name in ("truth", *models)}
+        keep_frames(frames, 0, dict.fromkeys(frames, start.state))
+        states = roll_out(trainer, module, replace(start, steps=max(steps)))
+        bar = Progress(
+            states, desc="drawing the ablation", unit="step", total=max(steps), leave=False
         )
-        with Image.open(path) as picture:
-            pixels = np.asarray(picture.convert("RGB"))
-        for logger in trainer.loggers:
-            if isinstance(logger, TensorBoardLogger):
-                logger.experiment.add_image(
-                    "ablation/speed", pixels, trainer.global_step, dataformats="HWC"
-                )
-        print(f"\n{path}")
-
-    @staticmethod
-    @torch.no_grad()
-    def _roll_out(
-        trainer: Trainer, module: FluidsNet, start: RolloutStart, steps: Sequence[int]
-    ) -> dict[str, _States]:
-        """Of each model, the states that are drawn."""
-        start = start.to(module.device)
-        models, last = module.named_models(), max(steps)
-        found: dict[str, _States] = {}
-        bar = tqdm(total=last * len(models), desc="drawing the ablation", unit="step", leave=False)
-        for name, model in models.items():
-            states = rollout(model, start.state, last)
-            state, found[name] = start.state, {}
-            for step in range(last + 1):
-                if step > 0:
-                    with trainer.precision_plugin.forward_context():
-                        state = next(states)
-                    bar.update()
-                if step in steps:
-                    found[name][step] = (state.position.cpu(), state.velocity.cpu())
-        bar.close()
-        return found
-
-
-def _panel(name: str, time: float, state: tuple[Tensor, Tensor]) -> Panel:
-    position, velocity = (value.float().numpy() for value in state)
-    finite = np.isfinite(position).all(axis=1) & np.isfinite(velocity).all(axis=1)
-    title = f"{name.replace('_', ' ')}, {time:.2f} s"
-    if not finite.all():
-        title += ", not finite"
-    # Without a place, a particle is not drawn, but counted.
-    return Panel(title, np.where(finite[:, None], position, np.nan), _speed(velocity))
-
-
-def _speed(velocity: NDArray[Any]) -> NDArray[np.float64]:
-    """(N,), in m/s, of (N, 3); twice the digits, or a square of float32 may be infinite."""
-    speed: NDArray[np.float64] = np.linalg.norm(velocity.astype(np.float64), axis=1)
-    return speed
+        for step, predicted in enumerate(bar, start=1):
+            if step in steps:
+                keep_frames(frames, step, predicted)
+        cells = [(name, step) for name in frames for step in steps]
+        path = self._folder / "ablation.png"
+        draw_frames(path, frames, cells, len(steps), start.state.scene, trainer, "ablation/speed")

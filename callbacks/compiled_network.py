@@ -1,30 +1,23 @@
-"""The network through torch.compile."""
+"""Networks compiled by torch.compile."""
 
 from __future__ import annotations
 
 from lightning import Callback, LightningModule, Trainer
 
 from fluidsnet.compiled import compile_network
-from fluidsnet.errors import UserError
-from fluidsnet.module import FluidsNet
+from fluidsnet.reporting.requirements import require_fluidsnet
 
 
 class CompiledNetwork(Callback):
-    """Compiles the network's torch operations at the start of each stage.
+    """Compile the networks' torch operations at the start of each stage.
 
     ``fluidsnet predict --run FOLDER --trainer.callbacks+=CompiledNetwork``. The first steps take
     a minute longer. Checkpoints are the same with and without it. It needs a C++ compiler on
-    the CPU. Twins of an `Ablation` are compiled, too, if that comes before it. What
-    `docs/speed.md` measured says where it pays.
+    the CPU. Twins of an `Ablation` that comes before it are compiled too. `docs/speed.md` has the
+    speedups measured.
     """
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        """Compiles, without changing a weight's name.
-
-        Raises:
-            UserError: the module is not a FluidsNet.
-        """
-        if not isinstance(pl_module, FluidsNet):
-            raise UserError("CompiledNetwork compiles the network of FluidsNet alone.")
-        for model in pl_module.named_models().values():
+        """Compile the networks; names of weights stay the same."""
+        for model in require_fluidsnet(self, pl_module).named_models().values():
             compile_network(model.network)

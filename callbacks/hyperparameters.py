@@ -1,4 +1,4 @@
-"""What a run is made of beside what came out, for TensorBoard's tab HParams."""
+"""Hyperparameters and metrics of a run for TensorBoard's tab HParams."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ from tensorboard.plugins.hparams.metadata import (
 from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData, SessionEndInfo
 from torch.utils.tensorboard.summary import hparams
 
-from fluidsnet.errors import UserError
 from fluidsnet.module import FluidsNet
+from fluidsnet.reporting.requirements import require_fluidsnet
 
 Plain = bool | int | float | str
 
-#: What figures depend on; TensorBoard sorts by name and shows the first five unless told otherwise.
+#: Blocks that are shown; TensorBoard sorts by name and shows the first five by default.
 _BLOCKS = ("global_feature", "integrator", "local", "noise", "target", "walls")
-#: Of the data module, by its own names.
+#: Attributes of the data module that are shown.
 _OF_DATA = ("stride", "time_step", "voxel_size", "steps", "batch_size")
 
 
 class HyperParameters(Callback):
-    """Shows a run's blocks and settings beside its metrics, a run a row (tab "HParams").
+    """Write a run's blocks and settings for TensorBoard's tab "HParams", with its metrics.
 
-    They are written when training starts; TensorBoard then shows the latest value of each metric,
-    also of a later ``test`` of the run, and nothing for one that is not logged. The logger needs
-    ``default_hp_metric: false``, or Lightning writes others first, and TensorBoard reads the first.
-    For the same reason a training that is resumed in its folder keeps its row, and one that is
-    begun anew in the folder of another shows the settings of that: give it a folder of its own.
+    They are written when training starts. TensorBoard shows the latest value of each metric, also
+    of a later ``test`` of the run, and leaves metrics that are not logged empty. TensorBoard reads
+    the first settings in a folder only: the logger needs ``default_hp_metric: false``, since
+    Lightning would write others first, and a new training needs a new folder. A resumed training
+    keeps its row.
 
     Args:
-        metrics: tags of scalars.
+        metrics: Tags of scalars.
     """
 
     def __init__(
@@ -56,27 +56,19 @@ class HyperParameters(Callback):
         self.metrics = list(metrics)
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        """Checks who is trained.
-
-        Raises:
-            UserError: the module is not a FluidsNet.
-        """
-        if not isinstance(pl_module, FluidsNet):
-            raise UserError("HyperParameters knows the blocks of FluidsNet alone.")
+        """Check the module."""
+        require_fluidsnet(self, pl_module)
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Writes what there is before the first step."""
-        assert isinstance(pl_module, FluidsNet)
-        # The names of the metrics alone; their values are scalars.
+        """Write hyperparameters and the names of the metrics, whose values are scalars."""
+        settings = hyperparameters(trainer, require_fluidsnet(self, pl_module))
         names = dict.fromkeys(self.metrics, 0.0)
-        experiment, start, _ = hparams(  # type: ignore[no-untyped-call]
-            hyperparameters(trainer, pl_module), names
-        )
+        experiment, start, _ = hparams(settings, names)  # type: ignore[no-untyped-call]
         self._write(trainer, experiment, start)
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Notes that training went to its end; one that did not may be resumed, and still do."""
-        self._write(trainer, _succeeded())
+        """Write that training succeeded."""
+        self._write(trainer, _success())
 
     @staticmethod
     def _write(trainer: Trainer, *summaries: Any) -> None:
@@ -89,37 +81,37 @@ class HyperParameters(Callback):
 
 
 def hyperparameters(trainer: Trainer, module: FluidsNet) -> dict[str, Plain]:
-    """Plain values that a run can be told from others by.
+    """Return the settings of a run as plain values.
 
     Args:
-        trainer: at the start of training.
-        module: that it trains.
+        trainer: Trainer at the start of training.
+        module: Module that it trains.
     """
-    found: dict[str, Plain] = {}
+    settings: dict[str, Plain] = {}
     for name in _BLOCKS:
         block = module.model.blocks()[name]
-        found[f"block/{name}"] = "none" if block is None else type(block).__name__
-    found["model/head"] = " ".join(map(str, module.model.network.head.widths[1:-1]))
-    found["model/k"] = module.model.network.neighbors.k
-    found["model/weights"] = sum(weight.numel() for weight in module.model.parameters())
+        settings[f"block/{name}"] = "none" if block is None else type(block).__name__
+    settings["model/head"] = " ".join(map(str, module.model.network.head.widths[1:-1]))
+    settings["model/k"] = module.model.network.neighbors.k
+    settings["model/weights"] = sum(weight.numel() for weight in module.model.parameters())
     data = getattr(trainer, "datamodule", None)
-    found |= {f"data/{name}": getattr(data, name) for name in _OF_DATA if hasattr(data, name)}
+    settings |= {f"data/{name}": getattr(data, name) for name in _OF_DATA if hasattr(data, name)}
     optimizer = trainer.optimizers[0]
     group = optimizer.param_groups[0]
-    # What the schedule starts from, where there is one.
-    found["train/learning_rate"] = float(group.get("initial_lr", group["lr"]))
-    found["train/optimizer"] = type(optimizer).__name__
-    found["train/weight_decay"] = float(group.get("weight_decay", 0.0))
+    # With a schedule, the rate that it starts from.
+    settings["train/learning_rate"] = float(group.get("initial_lr", group["lr"]))
+    settings["train/optimizer"] = type(optimizer).__name__
+    settings["train/weight_decay"] = float(group.get("weight_decay", 0.0))
     for config in trainer.lr_scheduler_configs[:1]:
-        found["train/schedule"] = type(config.scheduler).__name__
-    found["train/precision"] = str(trainer.precision)
-    found["train/processes"] = trainer.world_size
-    found["train/seed"] = int(os.environ.get("PL_GLOBAL_SEED", -1))
-    return found
+        settings["train/schedule"] = type(config.scheduler).__name__
+    settings["train/precision"] = str(trainer.precision)
+    settings["train/processes"] = trainer.world_size
+    settings["train/seed"] = int(os.environ.get("PL_GLOBAL_SEED", -1))
+    return settings
 
 
-def _succeeded() -> Any:
-    """What says that a run did; TensorBoard's own function for it needs TensorFlow."""
+def _success() -> Any:
+    """Return the summary of a successful run; TensorBoard's function for it needs TensorFlow."""
     end = SessionEndInfo(status=STATUS_SUCCESS, end_time_secs=time.time())
     content = HParamsPluginData(version=PLUGIN_DATA_VERSION, session_end_info=end)
     plugin = SummaryMetadata.PluginData(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from lightning import Callback, LightningModule, Trainer
 
-from fluidsnet.errors import UserError
 from fluidsnet.module import FluidsNet
 from fluidsnet.reporting.charts import Charts, ChartSource
+from fluidsnet.reporting.requirements import require_fluidsnet
 
 
 class LossChart(Callback, ChartSource):
@@ -19,15 +19,9 @@ class LossChart(Callback, ChartSource):
         return {"training": {"loss": ["train/loss", "val/loss"]}}
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        """Checks who is trained.
-
-        Raises:
-            UserError: the module is not a FluidsNet.
-        """
-        if not isinstance(pl_module, FluidsNet):
-            raise UserError("LossChart knows the losses of FluidsNet alone.")
+        """Check the module."""
+        require_fluidsnet(self, pl_module)
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Writes the charts."""
-        assert isinstance(pl_module, FluidsNet)
-        self.write_charts(trainer, pl_module)
+        """Write the charts."""
+        self.write_charts(trainer, require_fluidsnet(self, pl_module))

@@ -1,36 +1,34 @@
-"""A rollout in 3-D, to turn and to step through in TensorBoard."""
+"""Rollout in 3-D in TensorBoard."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 import torch
-from lightning import LightningModule, Trainer
+from lightning import Callback, LightningModule, Trainer
 from lightning.pytorch.loggers import TensorBoardLogger
-from numpy.typing import NDArray
 
-from callbacks.first_rollout import FirstRollout
 from fluidsnet.errors import UserError
-from fluidsnet.export.speed_colors import speed_colors, speed_scale
-from fluidsnet.export.vtkhdf import read_frame
+from fluidsnet.export.speed_colors import speed_colors
 from fluidsnet.reporting.mesh_backdrop import MeshBackdrop
-from fluidsnet.reporting.run_folder import rollout_file
-
-Floats = NDArray[np.float32]
+from fluidsnet.reporting.rollout_frames import FirstRollout, Frames, speed, speed_limit
 
 
-class RolloutMesh(FirstRollout):
-    """After ``predict``, shows the first rollout and its truth in TensorBoard's tab "Mesh".
+class RolloutMesh(FirstRollout, Callback):
+    """Show the first rollout of ``predict`` and its truth in TensorBoard's tab "Mesh".
 
-    Particles are points, colored by their speed from blue to white (paper, figure 12) on the
-    truth's scale, in a domain of gray points. The truth is on the left and the prediction on the
-    right of one scene, `rollout_3d/truth_and_prediction`, so that they turn together; its step is
-    the number of the rollout's. The text `rollout_3d/legend` says what is seen. It reads the files
-    of `TrajectoryWriter`, which must come before it.
+    Particles are points, colored by speed from blue to white (paper, figure 12) on the truth's
+    scale, in a domain of gray points. The truth is on the left and the prediction on the right of
+    one scene, `rollout_3d/truth_and_prediction`, so that they turn together; its step is that of
+    the rollout. Past the truth's end the left domain is empty. The text `rollout_3d/legend`
+    describes the scene.
 
     Args:
-        times: how many states are shown, spread evenly over what both have. TensorBoard shows ten
-            unless it is told otherwise (``--samples_per_plugin meshes=100``).
-        particles: the most that are shown of a state, drawn with a fixed seed, the same in all.
+        times: Number of states shown, evenly spread over the rollout. TensorBoard keeps ten
+            by default (``--samples_per_plugin meshes=100``).
+        particles: Greatest number of particles shown, drawn with a fixed seed, the same in all
+            states.
 
     Raises:
         UserError: an argument is less than 1.
@@ -42,60 +40,59 @@ class RolloutMesh(FirstRollout):
                 raise UserError(f"RolloutMesh: {name} is {value}; it must be at least 1.")
         self.times, self.particles = times, particles
 
+    def shown_steps(self, steps: int) -> Collection[int]:
+        return {round(step) for step in np.linspace(0, steps, self.times).tolist()}
+
     def on_predict_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Writes the states."""
-        start = self.first(trainer)
-        if start is None:
+        """Write the states and the legend."""
+        loggers = [logger for logger in trainer.loggers if isinstance(logger, TensorBoardLogger)]
+        if self.start is None or not loggers or not trainer.is_global_zero:
             return
-        loggers = [one for one in trainer.loggers if isinstance(one, TensorBoardLogger)]
-        if not loggers:
-            return
-        scene = start.state.scene
-        shown = self._drawn(len(start.state))
-        last = min(start.steps, len(start.truth) - 1)
-        steps = sorted(set(np.linspace(0, last, self.times).round().astype(int).tolist()))
-        states: dict[tuple[str, int], tuple[Floats, Floats]] = {}
-        for step in steps:
-            position, velocity = (value.numpy() for value in start.truth[step])
-            states["truth", step] = position[shown], velocity[shown]
-            position, data = read_frame(rollout_file(self.folder, start.name), step)
-            states["prediction", step] = position[shown], data["velocity"][shown]
-        speeds = {key: np.linalg.norm(velocity, axis=1) for key, (_, velocity) in states.items()}
-        top = speed_scale([speeds["truth", step] for step in steps])
-        stage = MeshBackdrop(scene)
-        lost = {"truth": 0, "prediction": 0}
-        for step in steps:
-            points, paint = [stage.points], [stage.colors]
-            for who, shift in zip(lost, stage.shifts, strict=True):
-                position, speed = states[who, step][0], speeds[who, step]
-                near = stage.near(position)
-                lost[who] += int((~near).sum())
-                points.append(position[near] + shift)
-                paint.append(np.rint(255 * speed_colors(speed[near], top)).astype(np.uint8))
+        scene, count = self.start.state.scene, len(self.start.state)
+        rows = np.sort(np.random.default_rng(0).permutation(count)[: self.particles])
+        frames: Frames = {
+            label: {
+                step: (position[rows], velocity[rows])
+                for step, (position, velocity) in self.frames[name].items()
+            }
+            for label, name in (("truth", "truth"), ("prediction", "model"))
+        }
+        limit = speed_limit(frames)
+        backdrop = MeshBackdrop(scene)
+        hidden = dict.fromkeys(frames, 0)
+        for step in frames["prediction"]:
+            points, colors = [backdrop.points], [backdrop.colors]
+            for name, shift in zip(frames, backdrop.shifts, strict=True):
+                if step in frames[name]:
+                    position, velocity = frames[name][step]
+                    near = backdrop.near(position)
+                    hidden[name] += int((~near).sum())
+                    points.append(position[near] + shift)
+                    paint = speed_colors(speed(velocity[near]), limit)
+                    colors.append(np.rint(255 * paint).astype(np.uint8))
             for logger in loggers:
                 logger.experiment.add_mesh(
                     "rollout_3d/truth_and_prediction",
                     torch.from_numpy(np.concatenate(points))[None],
-                    torch.from_numpy(np.concatenate(paint))[None],
-                    config_dict=stage.config,
+                    torch.from_numpy(np.concatenate(colors))[None],
+                    config_dict=backdrop.config,
                     global_step=step,
                 )
+        known = self.start.known_steps
+        shown = "Truth (left) and prediction" if known else "Prediction (right), without a truth,"
         legend = (
-            f"Truth (left) and prediction of simulation /{start.name} after "
-            f"{', '.join(map(str, steps))} steps of {scene.time_step:g} s. "
-            f"{len(shown)} of {len(start.state)} particles are shown; "
-            f"blue is at rest, white {top:.2g} m/s and faster."
+            f"{shown} of simulation /{self.start.name} after "
+            f"{', '.join(map(str, frames['prediction']))} steps of {scene.time_step:g} s. "
+            f"{len(rows)} of {count} particles are shown; blue is at rest, white {limit:.2g} m/s "
+            "and faster."
         )
+        if 0 < known < self.start.steps:
+            legend += f" The truth ends after {known} steps."
         legend += "".join(
-            f" {count} times a particle of the {who} is too far away to be shown, or not finite."
-            for who, count in lost.items()
-            if count
+            f" {number} times a particle of the {name} is too far away to be shown, or not finite."
+            for name, number in hidden.items()
+            if number
         )
         for logger in loggers:
             logger.experiment.add_text("rollout_3d/legend", legend)
-        print(f"\nTensorBoard, tab Mesh: {legend}")
-
-    def _drawn(self, particles: int) -> NDArray[np.int64]:
-        """Rows of the particles that are shown, ascending."""
-        rows = np.random.default_rng(0).permutation(particles)[: self.particles]
-        return np.sort(rows)
+        print(f"TensorBoard, tab Mesh: {legend}")

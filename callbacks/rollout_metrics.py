@@ -1,77 +1,78 @@
-"""Rollouts measured in validation and test."""
+"""Metrics of rollouts in validation, test and prediction."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Literal
 
 import torch
 from lightning import Callback, LightningModule, Trainer
-from tqdm import tqdm
 
-from fluidsnet.baselines import Baselines
 from fluidsnet.errors import UserError
-from fluidsnet.metrics.rollout_suite import Figures, RolloutSuite
+from fluidsnet.metrics.suite import BASELINES, RolloutResults, RolloutSuite, rollout_suite
 from fluidsnet.module import FluidsNet
-from fluidsnet.particles import RolloutStarts
+from fluidsnet.particles import Particles, RolloutStart, RolloutStarts
+from fluidsnet.progress import Progress
 from fluidsnet.reporting.charts import Charts, ChartSource
+from fluidsnet.reporting.requirements import is_first, require_fluidsnet, require_rollout_starts
+from fluidsnet.reporting.results import results_folder
 from fluidsnet.reporting.rollout_curves import draw_curves
+from fluidsnet.reporting.rollout_frames import roll_out
 from fluidsnet.reporting.rollout_metrics_table import write_rollout_metrics
-from fluidsnet.reporting.rollout_scalars import log_beside, log_scalars, logged_steps, scalars_of
-from fluidsnet.reporting.run_folder import run_folder
-from fluidsnet.rollout import rollout
+from fluidsnet.reporting.rollout_scalars import log_predictors, log_scalars, rollout_scalars
+from fluidsnet.rollout import RolloutObserver
 
-#: Those whose position error is drawn with the predictors' in one chart.
+#: Numbers of steps whose position error has a chart.
 CHARTED = (1, 10, 25)
 
 
-class RolloutMetrics(Callback, ChartSource):
-    """Rolls the network out on held-out simulations and logs every metric of the rollouts.
+class RolloutMetrics(Callback, ChartSource, RolloutObserver):
+    """Measure rollouts on held-out simulations with all metrics.
 
-    In validation `rollout/<metric>/<steps>`, which a ModelCheckpoint can monitor where every
-    validation rolls out, and the trivial predictors and the integrator's floor as
-    `rollout_predictors/<metric>/<steps>/<predictor>`, in a group of their own, as they are many;
-    these are measured once, as they do not change. It comes before callbacks that swap weights
-    for validation, or it measures the others.
+    In validation it logs `rollout/<metric>/<steps>`, which a ModelCheckpoint can monitor if every
+    validation rolls out, and the baselines, measured once, as
+    `rollout_predictors/<metric>/<steps>/<predictor>`. Twins of an `Ablation` are rolled out from
+    the same starts and logged with the model as `ablation_rollout/<metric>/<steps>/<name>`. It
+    must come before callbacks that swap weights for validation, to measure the swapped weights.
 
-    Models that an `Ablation` trains side by side are rolled out from the same starts, and the
-    figures of each are `ablation_rollout/<metric>/<steps>/<name>` as well.
+    In `test` the groups are `test_rollout/`, `test_rollout_predictors/` and
+    `ablation_test_rollout/`. The table `rollout_metrics.md` and `.csv` has a row for each
+    predictor and number of steps, with the number of simulations that are that long; a rollout
+    that becomes non-finite counts as infinite from there on, and is named. `rollout_metrics.png`,
+    also in TensorBoard, has errors and energies against time.
 
-    In `test` the same under `test_rollout/`, `test_rollout_predictors/` and
-    `ablation_test_rollout/`; `rollout_metrics.md` and `.csv` in the run's folder, a row a
-    predictor and number of steps; and `rollout_metrics.png`, the errors and energies against
-    time, also in TensorBoard.
+    In `predict` the first callback of this class measures the rollouts of `predict` up to the
+    truth's end, and writes the table `rollout_metrics_predict`; without a truth there is none.
 
-    A rollout goes as far as it is asked to or as its truth goes, whichever is less; after some
-    steps fewer simulations may be left, and the table says how many. One that turns
-    non-finite counts as infinite from there on, and the table names it and the step.
+    Several callbacks, such as from rest and in motion, need different names: the groups are then
+    `rollout_<name>`, `test_rollout_<name>` and so on, the files `rollout_metrics_<name>`.
 
-    Several measure apart, such as from rest and in motion, if each but one has a name: the groups
-    are then `rollout_<name>`, `test_rollout_<name>` and so on, the files `rollout_metrics_<name>`.
+    Example:
+        .. code-block:: yaml
 
-    Example::
-
-        callbacks:
-          - class_path: callbacks.RolloutMetrics
-            init_args:
-              steps: 100
-              starts: [0, 0.5] # the first frame, and half way through
-              simulations: 2
-              every_n_validations: 10
+            callbacks:
+              - class_path: callbacks.RolloutMetrics
+                init_args:
+                  steps: 100
+                  starts: [0, 0.5] # the first frame, and half way through
+                  simulations: 2
+                  every_n_validations: 10
 
     Args:
-        steps: of each rollout; to the truth's end by default.
-        starts: frames that rollouts start at: whole numbers are frames, fractions shares of a
-            simulation from 0.0 to below 1.
-        simulations: how many are rolled out, from the file's first on; all by default.
-        every_n_validations: in training, how often one rolls out; 0 for none in any.
-        costly_steps: after which chamfer, sinkhorn and density are taken, and after the last
-            step too. At these of 100 steps all metrics cost less than the rollout itself.
-        name: where there are several: lower-case letters, digits and ``_``; "" for none.
+        steps: Number of steps of each rollout; by default up to the truth's end.
+        starts: Frames that rollouts start at: a whole number is a frame, a fraction is a share of
+            the simulation, from 0.0 to below 1.
+        simulations: Number of simulations, from the first in the file; all by default.
+        every_n_validations: Number of validations in training from one that rolls out to the
+            next; 0 for none.
+        costly_steps: Steps after which chamfer, Sinkhorn and density are measured, besides the
+            last. At these of 100 steps all metrics cost less than the rollout.
+        name: Name of this callback among several: lower-case letters, digits and ``_``.
 
     Raises:
-        UserError: an argument cannot be used.
+        UserError: an argument is out of range.
     """
 
     def __init__(
@@ -83,29 +84,20 @@ class RolloutMetrics(Callback, ChartSource):
         costly_steps: Sequence[int] = (25, 50, 100),
         name: str = "",
     ) -> None:
-        for argument, value, least in (
-            ("steps", 1 if steps is None else steps, 1),
-            ("simulations", 1 if simulations is None else simulations, 1),
-            ("every_n_validations", every_n_validations, 0),
+        positive, not_negative = "it must be at least 1", "it must be at least 0"
+        frames = "give at least one: whole numbers are frames, fractions below 1 are shares"
+        letters = "it is taken or has characters other than lower-case letters, digits and _"
+        free = name != "predict" and not name.endswith("predictors")
+        for argument, value, valid, rule in (
+            ("steps", steps, steps is None or steps > 0, positive),
+            ("simulations", simulations, simulations is None or simulations > 0, positive),
+            ("every_n_validations", every_n_validations, every_n_validations >= 0, not_negative),
+            ("starts", list(starts), starts and all(map(_is_start, starts)), frames),
+            ("costly_steps", list(costly_steps), all(n > 0 for n in costly_steps), positive),
+            ("name", repr(name), free and re.fullmatch("([a-z][a-z0-9_]*)?", name), letters),
         ):
-            if value < least:
-                raise UserError(
-                    f"RolloutMetrics: {argument} is {value}; it must be at least {least}."
-                )
-        if not starts or not all(s >= 0 if isinstance(s, int) else 0 <= s < 1 for s in starts):
-            raise UserError(
-                f"RolloutMetrics: starts is {list(starts)}; whole numbers are frames, fractions "
-                "are shares of a simulation, from 0.0 to below 1, and there must be one."
-            )
-        if any(step < 1 for step in costly_steps):
-            raise UserError(
-                f"RolloutMetrics: costly_steps is {list(costly_steps)}; the first step is 1."
-            )
-        if not re.fullmatch("([a-z][a-z0-9_]*)?", name) or name.endswith("predictors"):
-            raise UserError(
-                f"RolloutMetrics: the name {name!r} is taken or has other signs than lower-case "
-                "letters, digits and _; choose another."
-            )
+            if not valid:
+                raise UserError(f"RolloutMetrics: {argument} is {value}; {rule}.")
         self.name = name
         self.steps, self.starts, self.simulations = steps, starts, simulations
         self.every_n_validations, self.costly_steps = every_n_validations, costly_steps
@@ -114,144 +106,149 @@ class RolloutMetrics(Callback, ChartSource):
 
     @property
     def state_key(self) -> str:
-        """Of several, each has its own state in a checkpoint."""
+        """Key of this callback's state in a checkpoint."""
         return self._named(type(self).__qualname__)
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        """Checks who is rolled out, and forgets what an earlier run measured.
-
-        Raises:
-            UserError: the module is not a FluidsNet, or the data give no rollouts.
-        """
-        if not isinstance(pl_module, FluidsNet):
-            raise UserError("RolloutMetrics measures rollouts of FluidsNet alone.")
-        data = getattr(trainer, "datamodule", None)
-        if stage != "predict" and not hasattr(data, "rollout_starts"):
-            raise UserError(
-                "RolloutMetrics needs a data module with rollout_starts, such as SPHDataModule."
-            )
+        """Check the module and the data, and look up the folder, all processes together."""
+        require_fluidsnet(self, pl_module)
+        self._data = require_rollout_starts(self, trainer)
         self._validations, self._suite = 0, None
-        # Asked for by all processes, since they agree on it.
-        self._folder = run_folder(trainer)
+        if stage in ("test", "predict"):
+            self._folder = results_folder(trainer)
 
     def charts(self, module: FluidsNet) -> Charts:
-        """The position errors after some of the steps, the models' and the predictors'."""
+        """Return charts of the position errors of models and baselines."""
         if not self.every_n_validations:
             return {}
         steps = [step for step in CHARTED if self.steps is None or step <= self.steps]
-        rollout = self._named("rollout")
-        alone = len(module.named_models()) == 1
-        group = (
-            f"{rollout}(_predictors)?" if alone else f"({rollout}_predictors|ablation_{rollout})"
-        )
-        tag = f"{group}/position_error_mm/{{}}(/|$)"
-        return {
-            rollout: {
-                f"position error after {step} steps, mm": [tag.format(step)] for step in steps
-            }
-        }
+        group = self._named("rollout")
+        single = len(module.named_models()) == 1
+        groups = f"{group}(_predictors)?" if single else f"({group}_predictors|ablation_{group})"
+        tag = f"{groups}/position_error_mm/{{}}(/|$)"
+        return {group: {f"position error after {n} steps, mm": [tag.format(n)] for n in steps}}
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Tells TensorBoard to draw model and predictors into one chart."""
-        assert isinstance(pl_module, FluidsNet)
-        self.write_charts(trainer, pl_module)
+        """Write the charts."""
+        self.write_charts(trainer, require_fluidsnet(self, pl_module))
 
     def state_dict(self) -> dict[str, Any]:
-        """Of a training that is resumed, which validation comes next."""
+        """Return the number of validations so far."""
         return {"validations": self._validations}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Goes on counting."""
+        """Restore the number of validations so far."""
         self._validations = state_dict["validations"]
 
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Rolls out, if it is this validation's turn, and logs."""
+        """Roll out in every n-th validation, and log."""
         if trainer.sanity_checking or self.every_n_validations == 0:
             return
         self._validations += 1
         if trainer.state.fn == "fit" and self._validations % self.every_n_validations:
             return
-        assert isinstance(pl_module, FluidsNet)
-        starts, figures = self._measure(trainer, pl_module, "val")
-        scalars = scalars_of(figures, max(starts.steps))
+        module = require_fluidsnet(self, pl_module)
+        scalars = rollout_scalars(self._measure(trainer, module, "val"))
         group = self._named("rollout")
-        mine = {f"{group}/{name}": value for name, value in scalars["model"].items()}
-        # All processes have the same; their mean spares a warning.
-        pl_module.log_dict(mine, sync_dist=True, batch_size=1)
-        log_beside(trainer, pl_module, group, scalars)
+        tagged = {f"{group}/{name}": value for name, value in scalars["model"].items()}
+        # All processes have the same values; Lightning warns without the mean.
+        module.log_dict(tagged, sync_dist=True, batch_size=1)
+        log_predictors(trainer, module, group, scalars)
 
     def on_test_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Rolls out, logs, and writes the table and the figure."""
-        assert isinstance(pl_module, FluidsNet)
-        starts, figures = self._measure(trainer, pl_module, "test")
+        """Roll out, log, and write the table and the picture."""
+        module = require_fluidsnet(self, pl_module)
+        results = self._measure(trainer, module, "test")
         if not trainer.is_global_zero:
             return
-        longest = max(starts.steps)
-        scalars = scalars_of(figures, longest)
+        scalars = rollout_scalars(results)
         group = self._named("test_rollout")
         log_scalars(trainer, group, {"": scalars["model"]})
-        log_beside(trainer, pl_module, group, scalars)
-        time_step: float = starts[0].state.scene.time_step
+        log_predictors(trainer, module, group, scalars)
         path = self._folder / self._named("rollout_metrics")
-        text = write_rollout_metrics(path, figures, starts, logged_steps(longest), time_step)
-        draw_curves(path.with_suffix(".png"), figures, time_step, trainer.loggers, group)
-        print(f"\n{text}\n{path}.md\n{path}.png")
+        self._write_table(path, results)
+        picture = path.with_suffix(".png")
+        draw_curves(picture, results, self._data.time_step, trainer.loggers, group)
+        print(picture)
 
-    def _named(self, words: str) -> str:
-        return f"{words}_{self.name}" if self.name else words
+    def on_predict_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Start a suite for the rollouts of `predict`."""
+        self._suite = None
+        if is_first(self, trainer):
+            loader: Any = trainer.predict_dataloaders
+            self._starts = loader.dataset
+            self._suite = rollout_suite(self._starts, self.costly_steps, pl_module.device)
+
+    def on_rollout_step(
+        self, start: RolloutStart, step: int, states: Mapping[str, Particles]
+    ) -> None:
+        """Measure a step of a rollout that has a truth."""
+        if "truth" in states:
+            self._update(start, step, states, states["truth"])
+
+    def on_predict_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Write the table."""
+        if not is_first(self, trainer):
+            return
+        results = self._suite.compute() if self._suite else None
+        if not trainer.is_global_zero:
+            return
+        if results is not None and results["model"]["simulations"].any():
+            self._write_table(self._folder / "rollout_metrics_predict", results)
+        else:
+            print("No state of the rollouts has a truth: there is no table of rollout metrics.")
+
+    def _named(self, prefix: str) -> str:
+        return f"{prefix}_{self.name}" if self.name else prefix
+
+    def _write_table(self, path: Path, results: RolloutResults) -> None:
+        """Write and print the table."""
+        time_step = self._data.time_step
+        print(write_rollout_metrics(path, results, self._starts, time_step), f"{path}.md", sep="\n")
+
+    def _update(
+        self, start: RolloutStart, step: int, states: Mapping[str, Particles], true: Particles
+    ) -> None:
+        if self._suite is not None:
+            rollouts = list(zip(self._starts.names, self._starts.first, strict=True))
+            index = rollouts.index((start.name, start.first))
+            self._suite.update(index, step, states, true, start.state)
 
     @torch.no_grad()
     def _measure(
         self, trainer: Trainer, module: FluidsNet, split: Literal["val", "test"]
-    ) -> tuple[RolloutStarts, Figures]:
-        data: Any = trainer.datamodule  # type: ignore[attr-defined]
-        starts: RolloutStarts = data.rollout_starts(
+    ) -> RolloutResults:
+        """Roll out all models from the starts of a split."""
+        starts: RolloutStarts = self._data.rollout_starts(
             split, self.starts, self.steps, self.simulations
         )
-        # Of all but the model, in an earlier validation.
-        known = self._suite is not None
+        models = list(module.named_models())
+        names = models
         if self._suite is None:
-            longest = max(starts.steps)
-            names = [starts.names.index(name) for name in starts.names]
-            costly = {*self.costly_steps, longest}
-            models = list(module.named_models())
-            self._suite = RolloutSuite(names, longest, costly, module.device, models)
-        for name in module.named_models():
+            # Baselines do not change and are measured once.
+            names = [*models, *BASELINES]
+            self._starts = starts
+            self._suite = rollout_suite(starts, self.costly_steps, module.device, models)
+        assert self._suite is not None
+        for name in models:
             self._suite.forget(name)
-        mine = range(trainer.global_rank, len(starts), trainer.world_size)
-        bar = tqdm(
-            total=sum(starts.steps[index] for index in mine),
+        indices = range(trainer.global_rank, len(starts), trainer.world_size)
+        bar = Progress(
+            total=sum(starts.steps[index] for index in indices),
             desc="measuring rollouts",
             unit="step",
             leave=False,
             disable=split == "val" or not trainer.is_global_zero,
         )
-        for index in mine:
-            self._roll_out(trainer, module, self._suite, starts, index, known, bar)
+        for index in indices:
+            start = starts[index].to(module.device)
+            for step, states in enumerate(roll_out(trainer, module, start), start=1):
+                measured = {name: states[name] for name in names}
+                self._update(start, step, measured, states["truth"])
+                bar.update()
         bar.close()
-        return starts, self._suite.compute()
+        return self._suite.compute()
 
-    @staticmethod
-    def _roll_out(
-        trainer: Trainer,
-        module: FluidsNet,
-        suite: RolloutSuite,
-        starts: RolloutStarts,
-        index: int,
-        known: bool,
-        bar: Any,
-    ) -> None:
-        """One rollout of each model; where the others' figures are known, of these alone."""
-        start = starts[index].to(module.device)
-        rollouts = {
-            name: rollout(model, start.state, starts.steps[index])
-            for name, model in module.named_models().items()
-        }
-        baselines = Baselines(start.state, module.model.integrator)
-        for step in range(1, starts.steps[index] + 1):
-            with trainer.precision_plugin.forward_context():
-                states = {name: next(rolled) for name, rolled in rollouts.items()}
-            true = start.state.moved(*(value.to(module.device) for value in start.truth[step]))
-            others = {} if known else {**baselines.after(step, true), "truth": true}
-            suite.update(index, step, {**states, **others}, true, start.state)
-            bar.update()
+
+def _is_start(frame: int | float) -> bool:
+    return frame >= 0 and (isinstance(frame, int) or frame < 1)

@@ -1,78 +1,52 @@
-"""Truth and prediction side by side."""
+"""Picture of a rollout beside its truth."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
-import matplotlib.image
-import numpy as np
-from lightning import LightningModule, Trainer
-from lightning.pytorch.loggers import TensorBoardLogger
+from lightning import Callback, LightningModule, Trainer
 
-from callbacks.first_rollout import FirstRollout
 from fluidsnet.errors import UserError
-from fluidsnet.export.render import Panel, side_by_side
-from fluidsnet.export.speed_colors import speed_scale
-from fluidsnet.export.vtkhdf import read_frame
-from fluidsnet.reporting.run_folder import rollout_file
+from fluidsnet.reporting.results import results_folder
+from fluidsnet.reporting.rollout_frames import FirstRollout, draw_frames
 
 
-class RolloutPicture(FirstRollout):
-    """After ``predict``, draws the first rollout beside its truth as ``rollout.png``.
+class RolloutPicture(FirstRollout, Callback):
+    """Draw the first rollout of ``predict`` beside its truth, as ``rollout.png``.
 
-    Particles are colored by their speed, from blue to white (paper, figure 12), on the truth's
-    scale. The picture also goes to TensorBoard. It reads the files of `TrajectoryWriter`, which
-    must come before it.
+    Particles are colored by speed, from blue to white (paper, figure 12), on the truth's scale.
+    Past the truth's end the truth's panel is empty; without a truth at any of the times the
+    prediction is drawn alone. TensorBoard has the picture as ``rollout/side_by_side``.
 
     Args:
-        times: where the rows of the picture are, as shares of what both the rollout and the truth
-            have.
+        times: Times of the rows, as shares of the rollout's length.
 
     Raises:
-        UserError: there are no times, or one is no share.
+        UserError: there are no times, or one is not between 0 and 1.
     """
 
     def __init__(self, times: Sequence[float] = (0.25, 0.5, 1.0)) -> None:
         if not times or not all(0 <= time <= 1 for time in times):
             raise UserError(
-                f"RolloutPicture: times is {list(times)}; they are shares from 0 to 1, and there "
-                "must be one."
+                f"RolloutPicture: times is {list(times)}; give at least one share of the "
+                "rollout's length, from 0 to 1."
             )
         self.times = times
 
+    def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
+        """Look up the folder, all processes together."""
+        if stage == "predict":
+            self._folder = results_folder(trainer)
+
+    def shown_steps(self, steps: int) -> Collection[int]:
+        return [round(share * steps) for share in self.times]
+
     def on_predict_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Draw the picture."""
-        start = self.first(trainer)
-        if start is None:
+        if self.start is None or not trainer.is_global_zero:
             return
-        scene = start.state.scene
-        last = min(start.steps, len(start.truth) - 1)
-        panels = []
-        for step in (round(share * last) for share in self.times):
-            when = f"{step * scene.time_step:.2f} s"
-            true_position, true_velocity = (value.numpy() for value in start.truth[step])
-            position, data = read_frame(rollout_file(self.folder, start.name), step)
-            panels += [
-                Panel(f"truth, {when}", true_position, _speed(true_velocity)),
-                Panel(f"FluidsNet, {when}", position, _speed(data["velocity"])),
-            ]
-        path = self.folder / "rollout.png"
-        side_by_side(
-            path,
-            panels,
-            scene.domain_lower.tolist(),
-            scene.domain_upper.tolist(),
-            scene.particle_radius,
-            # The first of each row is the truth's.
-            speed_max=speed_scale([panel.speed for panel in panels[::2]]),
-        )
-        pixels = matplotlib.image.imread(path)[..., :3]
-        for logger in trainer.loggers:
-            if isinstance(logger, TensorBoardLogger):
-                logger.experiment.add_image("rollout/side_by_side", pixels, dataformats="HWC")
-        print(f"\n{path}")
-
-
-def _speed(velocity: np.ndarray) -> np.ndarray:
-    speed: np.ndarray = np.linalg.norm(velocity, axis=1)
-    return speed
+        titles = {"truth": "truth", "FluidsNet": "model"}
+        frames = {title: self.frames[name] for title, name in titles.items() if self.frames[name]}
+        cells = [(title, step) for step in self.shown_steps(self.start.steps) for title in frames]
+        path, scene = self._folder / "rollout.png", self.start.state.scene
+        draw_frames(path, frames, cells, len(frames), scene, trainer, "rollout/side_by_side")

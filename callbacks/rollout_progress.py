@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from lightning import Callback, LightningModule, Trainer
 
 from fluidsnet.particles import Particles, RolloutStart
@@ -29,7 +31,9 @@ class RolloutProgress(Callback, RolloutObserver):
             disable=self._disable,
         )
 
-    def on_rollout_step(self, start: RolloutStart, step: int, state: Particles) -> None:
+    def on_rollout_step(
+        self, start: RolloutStart, step: int, states: Mapping[str, Particles]
+    ) -> None:
         """Move the bar."""
         self._bar.update()
 

@@ -1,4 +1,4 @@
-"""How fast training goes, and where its time goes."""
+"""Speed of training, and the time of the parts of a step."""
 
 from __future__ import annotations
 
@@ -8,50 +8,43 @@ from copy import deepcopy
 import torch
 from lightning import Callback, LightningModule, Trainer
 
-from fluidsnet.errors import UserError
 from fluidsnet.memory import peak_bytes
-from fluidsnet.module import FluidsNet
 from fluidsnet.particles import Transitions
+from fluidsnet.reporting.requirements import require_fluidsnet
 
 
 class SpeedMonitor(Callback):
-    """Logs under ``speed/``, for each interval of ``trainer.log_every_n_steps`` steps of training.
+    """Log the speed of training under ``speed/``, every ``trainer.log_every_n_steps`` steps.
 
     ===========================  ==================================================================
-    `steps_per_second`           steps of the optimizer, reading the data included; validations,
-                                 the first step, which compiles, and this callback's own search
-                                 are left out
-    `particles_per_second`       fluid particles stepped, one that is stepped twice counts twice
+    `steps_per_second`           steps of the optimizer, with reading the data, but without
+                                 validations, the first step, which compiles, and the search that
+                                 this callback times
+    `particles_per_second`       fluid particles, times the steps predicted of each
     `step_seconds`               1 / `steps_per_second`
-    `data_seconds`               of it: until the next batch is there
-    `search_seconds`             of it: the searches for neighbors, as many as a step has, each as
-                                 long as one that is timed by itself at the interval's end
-    `network_seconds`            of it: the rest, so forward and backward pass, and the optimizer
-    `peak_memory_mb`             the most memory so far, 10⁶ bytes: what torch gave out on CUDA, the
-                                 process's resident memory elsewhere
+    `data_seconds`               part of a step: waiting for the next batch
+    `search_seconds`             part of a step: its neighbor searches, each as long as a search
+                                 that is timed at the end of the interval
+    `network_seconds`            part of a step: the rest, that is forward and backward pass and
+                                 the optimizer
+    `peak_memory_mb`             greatest memory so far, 10⁶ bytes: allocated by torch on CUDA,
+                                 resident memory of the process elsewhere
     ===========================  ==================================================================
 
-    Within an interval it reads the host's clock twice a batch and adds up numbers that the host
-    knows. At its end it searches once more, and on CUDA it waits for the device, there, after the
-    first step and before a validation, and nowhere else. Since a GPU works on while the host waits
-    for data, `network_seconds` is the least it may be there. Of several processes the first one's
-    times are logged, and `particles_per_second` as if the others had as many particles.
+    Within an interval the host's clock is read twice per batch. CUDA is synchronized only at the
+    end of an interval, after the first step and before a validation. Since a GPU works while the
+    host waits for data, `network_seconds` is a lower bound there. Of several processes, the times
+    of the first are logged, and `particles_per_second` assumes as many particles in the others.
     """
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        """Checks who is trained.
-
-        Raises:
-            UserError: the module is not a FluidsNet.
-        """
-        if not isinstance(pl_module, FluidsNet):
-            raise UserError("SpeedMonitor knows the neighbor search of FluidsNet alone.")
+        """Check the module."""
+        require_fluidsnet(self, pl_module)
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Forgets an earlier training."""
-        assert isinstance(pl_module, FluidsNet)
-        # A copy: what the network's own search keeps of the last batch stays its own.
-        self._search = deepcopy(pl_module.model.network.neighbors)
+        """Reset the measurement."""
+        # A copy, since a search caches the edges of its last batch.
+        self._search = deepcopy(require_fluidsnet(self, pl_module).model.network.neighbors)
         self._warm = False
         self._began: float | None = None
         self._ended: float | None = None
@@ -60,7 +53,7 @@ class SpeedMonitor(Callback):
     def on_train_batch_start(
         self, trainer: Trainer, pl_module: LightningModule, batch: Transitions, batch_idx: int
     ) -> None:
-        """Notes how long the batch was waited for."""
+        """Add the time waited for the batch."""
         now = time.perf_counter()
         if self._ended is not None:
             self._waited += now - self._ended
@@ -75,7 +68,7 @@ class SpeedMonitor(Callback):
         batch: Transitions,
         batch_idx: int,
     ) -> None:
-        """Counts the batch, and logs where an interval ends."""
+        """Count the batch, and log at the end of an interval."""
         if not self._warm:
             self._warm = trainer.global_step > self._first_step
             if not self._warm:
@@ -97,7 +90,7 @@ class SpeedMonitor(Callback):
         self._next_interval(trainer)
 
     def on_validation_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Stops the clock, which the next batch starts again."""
+        """Pause the clock until the next batch."""
         if not trainer.sanity_checking and trainer.state.fn == "fit":
             self._pause(_now(pl_module.device))
 
@@ -114,32 +107,32 @@ class SpeedMonitor(Callback):
     def _log(
         self, trainer: Trainer, module: LightningModule, batch: Transitions, steps: int
     ) -> None:
-        assert isinstance(module, FluidsNet)
         started = _now(module.device)
         with torch.no_grad():
             self._search(batch.state)
-        one = _now(module.device) - started
-        # Each model, of several that train side by side, searches for itself.
-        searches = self._batches * len(batch.next_position) * len(module.named_models())
-        found = {
+        search = _now(module.device) - started
+        # Each model, twins included, has its search.
+        models = require_fluidsnet(self, module).named_models()
+        searches = self._batches * len(batch.next_position) * len(models)
+        speeds = {
             "steps_per_second": steps / self._seconds,
             "particles_per_second": trainer.world_size * self._particles / self._seconds,
             "step_seconds": self._seconds / steps,
             "data_seconds": self._waited / steps,
-            "search_seconds": one * searches / steps,
-            "network_seconds": (self._seconds - self._waited - one * searches) / steps,
+            "search_seconds": search * searches / steps,
+            "network_seconds": (self._seconds - self._waited - search * searches) / steps,
             "peak_memory_mb": peak_bytes(module.device) / 1e6,
         }
         for logger in trainer.loggers:
-            # The step that Lightning logs this batch's loss at.
+            # Lightning logs the loss of this batch at this step.
             logger.log_metrics(
-                {f"speed/{name}": value for name, value in found.items()},
+                {f"speed/{name}": value for name, value in speeds.items()},
                 step=trainer.global_step - 1,
             )
 
 
 def _now(device: torch.device) -> float:
-    """The host's clock once a GPU has done what it was told."""
+    """Return the host's clock, s, after synchronizing CUDA."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
     return time.perf_counter()

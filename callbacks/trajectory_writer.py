@@ -1,74 +1,83 @@
-"""Rollouts as files for ParaView, written as they come."""
+"""Rollouts as VTKHDF files for ParaView."""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Mapping
+
 import torch
 from lightning import Callback, LightningModule, Trainer
 
-from fluidsnet.errors import UserError
+from fluidsnet.baselines import Baselines
 from fluidsnet.export.vtkhdf import TrajectoryFile
-from fluidsnet.metrics.position_error import distance_mm
-from fluidsnet.metrics.rollout_errors import RolloutErrors
-from fluidsnet.module import FluidsNet
+from fluidsnet.metrics.positions import distance_mm, escaped
 from fluidsnet.particles import Particles, RolloutStart
-from fluidsnet.reporting.run_folder import rollout_file, run_folder
+from fluidsnet.reporting.results import results_folder
 from fluidsnet.rollout import RolloutObserver
+
+# Field data with the mean distance of a predictor from the truth.
+_ERRORS = {"model": "position_error_mm", **{name: f"{name}_mm" for name in Baselines.names}}
 
 
 class TrajectoryWriter(Callback, RolloutObserver):
-    """In ``predict``, streams each rollout to ``rollouts/<simulation>.vtkhdf``.
+    """Write each rollout of ``predict`` to ``rollouts/<simulation>.vtkhdf``, step by step.
 
-    The file is a temporal VTKHDF file, with `velocity` (m/s) and `position_error` (mm, not a
-    number past the truth's end) at the points, and for each step the figures of
-    `RolloutErrors` as field data. Its first step is the start.
+    The temporal VTKHDF file has `velocity` (m/s) and `position_error` (mm) at the points. Its field
+    data, one number per step, are the mean distances from the truth `position_error_mm` of the
+    model, `integrator_floor_mm`, `constant_velocity_mm` and `ballistic_mm`, and the share
+    `escaped`; see `errors`. All but the velocity are NaN past the truth's end. The first step is
+    the start.
     """
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        """Remembers who rolls out, and where its files go.
-
-        Raises:
-            UserError: the module is not a FluidsNet.
-        """
-        if not isinstance(pl_module, FluidsNet):
-            raise UserError("TrajectoryWriter writes rollouts of FluidsNet alone.")
-        self._folder, self._module = run_folder(trainer), pl_module
+        """Look up the folder, all processes together."""
+        if stage == "predict":
+            self._folder = results_folder(trainer)
 
     def on_rollout_start(self, start: RolloutStart) -> None:
-        """Opens the file and writes the first state."""
-        path = rollout_file(self._folder, start.name)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._errors = RolloutErrors(start.state, self._module.model.integrator)
+        """Open the file and write the first state."""
+        path = self._folder / "rollouts" / f"{start.name}.vtkhdf"
         self._file = TrajectoryFile(path, particles=len(start.state))
         self._file.__enter__()
-        none = torch.zeros(len(start.state), device=start.state.position.device)
-        self._append(0, start.state, none, torch.zeros(len(RolloutErrors.names)))
+        zeros = dict.fromkeys((*_ERRORS.values(), "escaped"), 0.0)
+        self._append(0, start.state, start.state, zeros)
 
-    def on_rollout_step(self, start: RolloutStart, step: int, state: Particles) -> None:
-        """Writes a state, and compares it with the truth while there is one."""
-        if step < len(start.truth):
-            device = state.position.device
-            position, velocity = (value.to(device) for value in start.truth[step])
-            error = distance_mm(state.position, position)
-            figures = self._errors.update(step, state, position, velocity)
-        else:
-            error = torch.full_like(state.position[:, 0], torch.nan)
-            figures = torch.full((len(RolloutErrors.names),), torch.nan)
-        self._append(step, state, error, figures)
+    def on_rollout_step(
+        self, start: RolloutStart, step: int, states: Mapping[str, Particles]
+    ) -> None:
+        """Write a state and its errors."""
+        self._append(step, states["model"], states.get("truth"), errors(states))
 
     def on_rollout_end(self, start: RolloutStart) -> None:
-        """Closes the file; what was written of a rollout that broke off is kept."""
+        """Close the file; a rollout that an error ended keeps its steps."""
         self._file.__exit__(None, None, None)
 
     def _append(
-        self, step: int, state: Particles, error: torch.Tensor, figures: torch.Tensor
+        self, step: int, state: Particles, true: Particles | None, field_data: dict[str, float]
     ) -> None:
+        if true is None:
+            distance = torch.full_like(state.position[:, 0], torch.nan)
+        else:
+            distance = distance_mm(state.position, true.position)
         self._file.append(
             step * state.scene.time_step,
             state.position.cpu().numpy(),
             {
                 "velocity": state.velocity.cpu().numpy(),
-                "position_error": error.cpu().numpy().astype(np.float32),
+                "position_error": distance.float().cpu().numpy(),
             },
-            dict(zip(RolloutErrors.names, figures.tolist(), strict=True)),
+            field_data,
         )
+
+
+def errors(states: Mapping[str, Particles]) -> dict[str, float]:
+    """Return the field data of a step, for the states that a `RolloutObserver` receives.
+
+    Values that are not finite are inf; without the state of "truth" all are NaN.
+    """
+    if "truth" not in states:
+        return dict.fromkeys((*_ERRORS.values(), "escaped"), torch.nan)
+    true = states["truth"].position
+    distances = [distance_mm(states[name].position, true).mean() for name in _ERRORS]
+    values = torch.stack([*distances, escaped(states["model"])])
+    values = torch.nan_to_num(values, nan=torch.inf, posinf=torch.inf)
+    return dict(zip((*_ERRORS.values(), "escaped"), values.tolist(), strict=True))

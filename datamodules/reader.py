@@ -59,29 +59,19 @@ class FrameReader:
 
     def scene(self, stride: int) -> Scene:
         """Return the scene of the file for steps of this many frames, always the same object."""
+        header = self.header
         if stride not in self._scenes:
-            header = self.header
             # Kept for training too, where a tensor made in inference mode cannot be used.
             with torch.inference_mode(False):
                 lower, upper, gravity = (
                     torch.tensor(getattr(header, name), dtype=torch.float32) for name in VECTORS
                 )
-                self._scenes[stride] = Scene(
-                    lower,
-                    upper,
-                    gravity,
-                    header.particle_radius,
-                    header.support_radius,
-                    time_step=header.dt * stride,
-                )
+                radius, support, dt = header.particle_radius, header.support_radius, header.dt
+                self._scenes[stride] = Scene(lower, upper, gravity, radius, support, dt * stride)
         return self._scenes[stride]
 
     def check_same_scene(self, other: FrameReader) -> None:
-        """Check that two files have the same scene and frame interval.
-
-        Raises:
-            UserError: they differ.
-        """
+        """Raise a `UserError` if another file has another scene or frame interval."""
         for name in (*VECTORS, "particle_radius", "support_radius", "dt"):
             value, expected = getattr(self.header, name), getattr(other.header, name)
             if value != expected:
@@ -93,18 +83,15 @@ class FrameReader:
     def fluid(self, simulation: str, frame: int) -> tuple[Tensor, Tensor]:
         """Read position, m, and velocity, m/s, of the fluid particles, each (N, 3)."""
         what = f"frame {frame} of /{simulation}"
-        return (
-            self._read(f"{simulation}/position", frame, what),
-            self._read(f"{simulation}/velocity", frame, what),
-        )
+        position = self._read(f"{simulation}/position", frame, what)
+        return position, self._read(f"{simulation}/velocity", frame, what)
 
     def state(self, simulation: str, frame: int, scene: Scene) -> Particles:
         """Read one frame with its solids."""
         position, velocity = self.fluid(simulation, frame)
         if simulation not in self._solids:
-            self._solids[simulation] = self._read(
-                f"{simulation}/solid_position", (), f"the solids of /{simulation}"
-            )
+            what = f"the solids of /{simulation}"
+            self._solids[simulation] = self._read(f"{simulation}/solid_position", (), what)
         return Particles.single(position, velocity, self._solids[simulation], scene)
 
     def close(self) -> None:

@@ -46,6 +46,7 @@ class HDF5RolloutStarts(Dataset[RolloutStart]):
         names: Name of the simulation of each start.
         first: Frame of each start.
         steps: Number of steps of each rollout.
+        known_steps: Number of steps of each rollout that have a true state.
 
     Raises:
         UserError: a rollout cannot start at one of the frames.
@@ -64,6 +65,7 @@ class HDF5RolloutStarts(Dataset[RolloutStart]):
         self.names: list[str] = []
         self.first: list[int] = []
         self.steps: list[int] = []
+        self.known_steps: list[int] = []
         for name in list(reader.frames)[:simulations]:
             count = reader.frames[name]
             for frame in frames:
@@ -79,8 +81,9 @@ class HDF5RolloutStarts(Dataset[RolloutStart]):
                     )
                 self.names.append(name)
                 self.first.append(first)
-                longest = known if steps is None or not beyond_truth else steps
-                self.steps.append(longest if steps is None else min(steps, longest))
+                rolled = known if steps is None else steps
+                self.steps.append(rolled if beyond_truth else min(rolled, known))
+                self.known_steps.append(min(rolled, known))
 
     def __len__(self) -> int:
         return len(self.names)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence, Sized
-from dataclasses import dataclass
-from typing import final
+from typing import NamedTuple, final
 
 import torch
 from lightning.pytorch.overrides.distributed import UnrepeatedDistributedSampler
@@ -22,8 +21,7 @@ from fluidsnet.statistics import Statistics
 STATISTICS_SAMPLES = 256
 
 
-@dataclass(frozen=True)
-class Sample:
+class Sample(NamedTuple):
     """File, simulation and frame that a transition starts at."""
 
     reader: FrameReader
@@ -59,18 +57,14 @@ class TransitionDataset(Dataset[Transitions]):
         samples: Starts of the transitions.
         stride: Frames from a state to the next.
         steps: Next states per sample.
+
+    Attributes:
         augmentation: Applied to each sample after it was read.
     """
 
-    def __init__(
-        self,
-        samples: Sequence[Sample],
-        stride: int,
-        steps: int,
-        augmentation: Augmentation | None = None,
-    ) -> None:
+    def __init__(self, samples: Sequence[Sample], stride: int, steps: int) -> None:
         self.samples, self.stride, self.steps = samples, stride, steps
-        self.augmentation = augmentation
+        self.augmentation: Augmentation | None = None
         # The path is part of the key: two files may have simulations of the same name.
         names = dict.fromkeys((sample.reader.path, sample.simulation) for sample in samples)
         self._numbers = {name: number for number, name in enumerate(names)}

@@ -1,7 +1,6 @@
-"""Many frames predicted at once (paper, section 5.5), as many as the memory holds.
+"""Batched prediction of known frames (paper, section 5.5), as many at once as memory allows.
 
-Each prediction starts from a frame that is known, so the frames do not wait for each other; in
-a rollout they do, and nothing is gained.
+The frames of a rollout cannot be batched, since each needs the one before.
 """
 
 from __future__ import annotations
@@ -10,45 +9,42 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import final
 
 import torch
-from torch import Tensor
 
 from fluidsnet.memory import PeakMemory, free_bytes
-from fluidsnet.network import Network
+from fluidsnet.model import Model
 from fluidsnet.particles import Particles
-from fluidsnet.target import Motion
 
 
 @final
 class BatchedPrediction:
-    """Groups whole frames into batches that fit, and yields the motion of each frame.
+    """Predict the state one step after each frame, in batches that fit into memory.
 
-    The first frame goes alone, and the memory that it takes at its peak says how many
-    particles, fluid and solid, a batch may have. Each batch is measured, and the largest one
-    decides. A frame is never cut: one that does not fit alone fails as it would without this.
+    The first frame is a batch alone. Its peak memory per particle, fluid and solid, limits the
+    size of the next batches; a larger batch updates it. A frame is never split, so a frame that
+    is too large alone runs out of memory.
 
     Args:
-        network: in evaluation mode.
-        device: of the network; frames are copied there, and motions back to where they were.
-        memory: bytes that a batch may take beyond what is there; half of what is free when a
-            call begins by default.
+        model: Model in evaluation mode.
+        device: Device of the model. Frames are copied to it, and predictions back.
+        memory: Memory for a batch, bytes; by default half of what is free when a call begins.
     """
 
     def __init__(
-        self, network: Network, device: torch.device | str = "cpu", memory: int | None = None
+        self, model: Model, device: torch.device | str = "cpu", memory: int | None = None
     ) -> None:
-        self.network, self.device, self.memory = network, torch.device(device), memory
+        self.model, self.device, self.memory = model, torch.device(device), memory
         #: Frames in each batch of the last call.
         self.batches: list[int] = []
-        #: What a particle took in the largest batch so far, and how many were in it.
+        #: Peak memory per particle of the largest batch so far.
         self.bytes_per_particle = 0.0
         self._largest = 0
 
-    def __call__(self, states: Iterable[Particles]) -> Iterator[Motion]:
-        """The motion of each state, in their order.
+    def __call__(self, states: Iterable[Particles]) -> Iterator[Particles]:
+        """Yield the next state of each state, in order.
 
         Args:
-            states: one or more frames each; read as they are needed. Only those that share
-                their scene (the same object) go together.
+            states: States of one or more frames each, read when they are needed. Only states
+                with the same scene object share a batch.
         """
         memory = free_bytes(self.device) // 2 if self.memory is None else self.memory
         self.batches = []
@@ -66,25 +62,22 @@ class BatchedPrediction:
             return False
         return sum(map(_count, states)) * self.bytes_per_particle <= memory
 
-    # Around the prediction alone: the caller's own gradients are not this generator's to stop.
+    # Not around the generator, whose caller may need gradients between two states.
     @torch.no_grad()
-    def _predict(self, states: Sequence[Particles]) -> list[Motion]:
+    def _predict(self, states: Sequence[Particles]) -> list[Particles]:
         with PeakMemory(self.device) as peak:
-            batch = Particles.collate(states).to(self.device)
-            motion = self.network.motion(batch)
-            home = states[0].position.device
-            sizes = [len(state) for state in states]
-            velocity = motion.velocity.to(home).split(sizes)  # type: ignore[no-untyped-call]
-            displacement: Sequence[Tensor | None] = [None] * len(states)
-            if motion.displacement is not None:
-                displacement = motion.displacement.to(home).split(sizes)  # type: ignore[no-untyped-call]
+            after = self.model.step(Particles.collate(states).to(self.device))
+            origin, sizes = states[0].position.device, [len(state) for state in states]
+            position = after.position.to(origin).split(sizes)  # type: ignore[no-untyped-call]
+            velocity = after.velocity.to(origin).split(sizes)  # type: ignore[no-untyped-call]
         self.batches.append(sum(state.frames for state in states))
         count = sum(map(_count, states))
         if count >= self._largest:
             self._largest, self.bytes_per_particle = count, peak.bytes / max(count, 1)
-        return [Motion(*pair) for pair in zip(velocity, displacement, strict=True)]
+        moves = zip(states, position, velocity, strict=True)
+        return [state.moved(*move) for state, *move in moves]
 
 
 def _count(state: Particles) -> int:
-    """Fluid and solid particles."""
+    """Return the number of fluid and solid particles."""
     return len(state) + len(state.solid_position)

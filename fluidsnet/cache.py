@@ -1,4 +1,4 @@
-"""What was made of tensors, kept for as long as they hold the same numbers."""
+"""Cache of a result until its input tensors change."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ T = TypeVar("T")
 
 @final
 class TensorCache(Generic[T]):
-    """Remembers one result, and the tensors it was made of.
+    """Cache the last result of a function of tensors.
 
-    Numbers are compared, not tensors: a version counter misses a change through NumPy, does
-    not exist in inference mode, and a new copy of the same solids would count as new. Reading
-    them is far cheaper than sorting them.
+    Values are compared, not tensor identity or version: versions miss changes through NumPy and
+    do not exist in inference mode, and a copy of the same solids is the same input. Comparing
+    is much cheaper than sorting.
     """
 
     def __init__(self) -> None:
-        self._made: tuple[tuple[Tensor, ...], Hashable, T] | None = None
+        self._last: tuple[tuple[Tensor, ...], Hashable, T] | None = None
 
     def get(self, tensors: tuple[Tensor, ...], settings: Hashable, make: Callable[..., T]) -> T:
-        """``make(*tensors)``, or the last result where neither tensors nor settings differ."""
-        if self._made is not None:
-            known, known_settings, result = self._made
+        """Return ``make(*tensors)``, cached while tensors and settings are equal."""
+        if self._last is not None:
+            known, known_settings, result = self._last
             if settings == known_settings and all(map(_same, known, tensors)):
                 return result
         result = make(*tensors)
-        self._made = (tuple(tensor.detach().clone() for tensor in tensors), settings, result)
+        self._last = (tuple(tensor.detach().clone() for tensor in tensors), settings, result)
         return result
 
 

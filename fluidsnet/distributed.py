@@ -1,4 +1,4 @@
-"""What the processes of a run that trains together, as Lightning's DDP does, add up."""
+"""Differentiable sum over DDP processes."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ from torch import Tensor, distributed
 
 
 def processes() -> int:
-    """How many processes train together: one, unless torch.distributed has more."""
-    together = distributed.is_available() and distributed.is_initialized()
-    return distributed.get_world_size() if together else 1
+    """Return the number of processes that train together; 1 without torch.distributed."""
+    initialized = distributed.is_available() and distributed.is_initialized()
+    return distributed.get_world_size() if initialized else 1
 
 
 def sum_over_processes(values: Tensor) -> Tensor:
-    """The sum over all processes, the same in each, with a gradient; of any shape.
+    """Return the elementwise sum over all processes; its gradient is summed as well.
 
-    All must call it as often as each other, with tensors of one shape and type. Its gradient is
-    that of what all processes make of it together.
+    All processes must call it equally often, with tensors of the same shape and dtype.
     """
     if processes() == 1:
         return values
@@ -27,7 +26,7 @@ def sum_over_processes(values: Tensor) -> Tensor:
 
 
 class _Sum(torch.autograd.Function):
-    """An all-reduce whose backward is one too; torch's own of this kind is deprecated."""
+    """All-reduce with an all-reduce as backward; torch's own function is deprecated."""
 
     @staticmethod
     def forward(context: Any, values: Tensor) -> Tensor:

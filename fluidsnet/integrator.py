@@ -1,4 +1,4 @@
-"""From a motion to the next state: one step in time, Δt.
+"""Time integration of a motion over one step Δt.
 
 ===================  =======================================  ==========================
 integrator           next position x'                         needs
@@ -21,28 +21,28 @@ from fluidsnet.target import Motion
 
 
 class Integrator(ABC):
-    """Moves the fluid particles; solids stay where they are.
+    """Time integration of the fluid particles; solids do not move.
 
     Attributes:
-        needs_displacement: whether a motion must have one.
+        needs_displacement: The motion must have a displacement.
     """
 
     needs_displacement: bool = False
 
     def __call__(self, particles: Particles, motion: Motion) -> Particles:
-        """The state one step later."""
+        """Return the state one step later."""
         return particles.moved(
             particles.position + self.displacement(particles, motion), motion.velocity
         )
 
     @abstractmethod
     def displacement(self, particles: Particles, motion: Motion) -> Tensor:
-        """How far each particle goes in the step, (N, 3) m."""
+        """Return the displacement of each particle over the step, (N, 3) m."""
 
 
 @final
 class Euler(Integrator):
-    """The paper's; at Δt = 20 ms it is off by millimeters even with the true velocity."""
+    """The paper's semi-implicit Euler; at Δt = 20 ms its error is millimeters."""
 
     def displacement(self, particles: Particles, motion: Motion) -> Tensor:
         return particles.scene.time_step * motion.velocity
@@ -50,7 +50,7 @@ class Euler(Integrator):
 
 @final
 class Trapezoid(Integrator):
-    """Exact where the acceleration is constant over the step, as in free fall."""
+    """Trapezoidal rule; exact for constant acceleration, as in free fall."""
 
     def displacement(self, particles: Particles, motion: Motion) -> Tensor:
         return particles.scene.time_step / 2 * (particles.velocity + motion.velocity)
@@ -58,11 +58,11 @@ class Trapezoid(Integrator):
 
 @final
 class Displacement(Integrator):
-    """Goes where the network says, for a target that predicts the displacement."""
+    """Predicted displacement, for a target that has one."""
 
     needs_displacement = True
 
     def displacement(self, particles: Particles, motion: Motion) -> Tensor:
         if motion.displacement is None:
-            raise ValueError("the motion has no displacement; use a target that predicts it")
+            raise ValueError("the motion has no displacement; use DisplacementTarget")
         return motion.displacement

@@ -1,4 +1,4 @@
-"""What training makes smaller."""
+"""Training loss."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from fluidsnet.distributed import processes, sum_over_processes
 
 
 def mean_square(output: Tensor, expected: Tensor) -> Tensor:
-    """The mean squared error over the particles of all processes (paper, section 5.3).
+    """Return the mean squared error over the particles of all processes (paper, section 5.3).
 
-    DDP averages what each process returns, and processes have different numbers of particles:
-    each returns its part of the sum, over the mean number, so that the average is the mean.
+    Processes have different numbers of particles and DDP averages their losses, so each returns
+    its part of the sum divided by the mean number.
 
     Args:
-        output: (N, width) of this process.
-        expected: (N, width) that would be right.
+        output: (N, width) network output of this process.
+        expected: (N, width) encoded truth.
     """
     if processes() == 1:
         return mse_loss(output, expected)

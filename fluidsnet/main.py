@@ -46,7 +46,7 @@ _COMMANDS = {
     "validate": ("fluidsnet.cli", "run"),
     "test": ("fluidsnet.cli", "run"),
     "predict": ("fluidsnet.cli", "run"),
-    "speed": ("fluidsnet.studies.speed", "speed_command"),
+    "speed": ("fluidsnet.studies.speed.command", "speed_command"),
     "ablations": ("fluidsnet.studies.ablations.command", "ablations_command"),
     "report": ("fluidsnet.report.command", "report_command"),
 }

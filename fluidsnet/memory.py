@@ -1,4 +1,4 @@
-"""How much memory is free, and how much a piece of work takes at its peak."""
+"""Free memory and peak memory of a device."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _SELF = Path("/proc/self")
 
 
 def free_bytes(device: torch.device) -> int:
-    """Bytes that can be had on a device now without taking them from anyone.
+    """Return the free memory of a device, bytes.
 
-    On a CPU what Linux says is available, or what a container's limit leaves of it; elsewhere
-    half of what is built in.
+    On the CPU it is the memory that Linux reports as available, or the rest of a container's
+    limit if that is less. On other systems it is half of the installed memory.
     """
     if device.type == "cuda":
         free, _ = torch.cuda.mem_get_info(device)
-        # What torch holds back for itself can be had, too.
+        # The cache of torch's allocator is free, too.
         held = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
         return int(free) + held
     try:
@@ -34,17 +34,17 @@ def free_bytes(device: torch.device) -> int:
     except OSError:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
     try:
-        most = int((_GROUP / "memory.max").read_text())
-        left = most - int((_GROUP / "memory.current").read_text())
-    except (OSError, ValueError):  # no container, or one without a limit, which says "max"
+        limit = int((_GROUP / "memory.max").read_text())
+        remaining = limit - int((_GROUP / "memory.current").read_text())
+    except (OSError, ValueError):  # no container, or "max" for one without a limit
         return available
-    return max(0, min(available, left))
+    return max(0, min(available, remaining))
 
 
 def peak_bytes(device: torch.device) -> int:
-    """The most bytes taken at once so far, or since the mark was last set back.
+    """Return the peak memory since the start or the last reset, bytes.
 
-    On CUDA what torch's allocator gave out, elsewhere the resident memory of the whole process.
+    On CUDA it is the memory that torch allocated, elsewhere the process's resident memory.
     """
     if device.type == "cuda":
         return torch.cuda.max_memory_allocated(device)
@@ -53,17 +53,16 @@ def peak_bytes(device: torch.device) -> int:
 
 @final
 class PeakMemory:
-    """Measures the most memory that is taken at once while its block runs, beyond what was before.
+    """Context manager that measures the peak memory of its block beyond the memory before it.
 
-    On CUDA it is what torch's allocator gave out, on Linux the resident memory of the whole
-    process, whose high-water mark is set back; elsewhere the mark is never set back, and the
-    figure is what the block raised it by.
+    On CUDA it is the memory that torch allocates, on Linux the process's resident memory, whose
+    high-water mark is reset. Other systems cannot reset the mark; there it is its increase.
 
     Attributes:
-        bytes: after the block.
+        bytes: Peak memory, set after the block.
 
     Args:
-        device: whose memory.
+        device: Device to measure.
     """
 
     def __init__(self, device: torch.device) -> None:
@@ -78,7 +77,7 @@ class PeakMemory:
             self._before = torch.cuda.memory_allocated(self.device)
             return self
         if sys.platform == "linux":
-            # What was freed and is still held would be taken again unseen.
+            # The block would reuse freed memory that the process still holds, unmeasured.
             trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
             if trim is not None:
                 trim(0)
@@ -103,18 +102,18 @@ class PeakMemory:
 
 
 def _highest() -> int:
-    """The most resident bytes this process has had since the mark was set back."""
+    """Return the high-water mark of the process's resident memory, bytes."""
     try:
         return _kibibytes(_SELF / "status", "VmHWM")
     except OSError:
-        # macOS counts bytes, the others kibibytes.
+        # macOS counts bytes, other systems kibibytes.
         unit = 1 if sys.platform == "darwin" else 1024
         return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 def _kibibytes(file: Path, name: str) -> int:
-    """The bytes that a file of /proc says in kB."""
+    """Read an entry of a /proc file that is in kB; return bytes."""
     found = re.search(rf"^{name}:\s+(\d+) kB", file.read_text(), re.MULTILINE)
     if found is None:
-        raise OSError(f"{file} does not say {name}")
+        raise OSError(f"{file} has no entry {name}")
     return 1024 * int(found.group(1))

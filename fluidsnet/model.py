@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from fluidsnet.errors import UserError
 from fluidsnet.features.global_feature import GlobalVector
-from fluidsnet.features.input import InputFeature
+from fluidsnet.features.input import InputFeature, ParticleState
 from fluidsnet.features.local import LocalFeature, NeighborMean
 from fluidsnet.features.voxel import GridShape
 from fluidsnet.integrator import Euler, Integrator
@@ -38,7 +38,7 @@ class Model(nn.Module):
     Args:
         grid_shape: Number of cells of the background grid along x, y and z.
         neighbors: Neighbor search; `Auto` by default.
-        inputs: Input feature (paper, section 4.2); `InputFeature` by default.
+        inputs: Input feature (paper, section 4.2); `ParticleState` by default.
         local: Local feature (section 4.3); `NeighborMean` by default.
         global_feature: Builds the global feature (sections 4.4 and 4.5); `GlobalVector` by
             default.
@@ -73,7 +73,7 @@ class Model(nn.Module):
         self.network = Network(
             grid_shape=grid_shape,
             neighbors=neighbors or Auto(),
-            inputs=inputs or InputFeature(),
+            inputs=inputs or ParticleState(),
             local=local or NeighborMean(),
             global_feature=global_feature or GlobalVector,
             target=target or VelocityTarget(),

@@ -25,7 +25,7 @@ from fluidsnet.one_step import OneStepErrors
 from fluidsnet.optimization import adam, clip_each, total_steps
 from fluidsnet.particles import Particles, RolloutStart, Transitions
 from fluidsnet.rng import with_same_rng
-from fluidsnet.rollout import RolloutObserver, rollout
+from fluidsnet.rollout import RolloutObserver, reference_rollout, rollout
 from fluidsnet.schedule import HalfwayDrop
 
 #: Builds a learning rate schedule from an optimizer and the number of steps of the run.
@@ -184,13 +184,19 @@ class FluidsNet(LightningModule):
     def predict_step(self, batch: RolloutStart, batch_index: int) -> None:
         callbacks = self.trainer.callbacks  # type: ignore[attr-defined]
         observers = [callback for callback in callbacks if isinstance(callback, RolloutObserver)]
-        states = rollout(self.model, batch.state, batch.steps)
+        states = zip(
+            rollout(self.model, batch.state, batch.steps),
+            reference_rollout(batch, self.model.integrator),
+            strict=True,
+        )
         for observer in observers:
             observer.on_rollout_start(batch)
         try:
-            for step, state in enumerate(states, start=1):
-                for observer in observers:
-                    observer.on_rollout_step(batch, step, state)
+            for step, (state, references) in enumerate(states, start=1):
+                # States are measured in full precision.
+                with torch.autocast(self.device.type, enabled=False):
+                    for observer in observers:
+                        observer.on_rollout_step(batch, step, {"model": state, **references})
         finally:
             for observer in observers:
                 observer.on_rollout_end(batch)

@@ -1,4 +1,4 @@
-"""The network of the paper's figure 2, composed from its blocks; plain torch."""
+"""Network composed from its blocks (paper, figure 2)."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import torch
 from torch import Tensor, nn
 from torch.profiler import record_function
 
+from fluidsnet.errors import UserError
+from fluidsnet.features.fused_local import fused_local
 from fluidsnet.features.global_feature import GlobalFeature
 from fluidsnet.features.input import InputFeature
 from fluidsnet.features.local import LocalFeature
@@ -19,22 +21,25 @@ from fluidsnet.particles import Particles
 from fluidsnet.statistics import Statistics
 from fluidsnet.target import Motion, Target
 
-#: Builds a global feature for a grid and a width of the particles' features.
+#: Builds a global feature for a grid shape and a width of the particles' features.
 GlobalFeatureFactory = Callable[[GridShape, int], GlobalFeature]
 
 
 @final
 class Network(nn.Module):
-    """Input, local and global features of a particle, and a head that predicts its target.
+    """Input, local and global features of a particle, and a head that predicts the target.
 
     Args:
-        grid_shape: of the background grid along x, y, z.
-        neighbors: search for the nearest neighbors.
-        inputs: input feature (section 4.2).
-        local: feature of the neighborhood (section 4.3).
-        global_feature: makes the feature of the whole scene (sections 4.4 and 4.5).
-        target: what the head predicts.
-        head: widths between the features and the target (section 4.6; Table 1: 32, 16, 8).
+        grid_shape: Number of cells of the background grid along x, y, z.
+        neighbors: Neighbor search.
+        inputs: Input feature (section 4.2).
+        local: Feature of the neighborhood (section 4.3).
+        global_feature: Builds the feature of the whole scene (sections 4.4 and 4.5).
+        target: Quantity that the head predicts.
+        head: Widths of the head's hidden layers (section 4.6; Table 1: 32, 16, 8).
+
+    Raises:
+        UserError: The local feature expects other columns than the input feature sends.
     """
 
     def __init__(
@@ -48,6 +53,13 @@ class Network(nn.Module):
         head: Sequence[int] = (32, 16, 8),
     ) -> None:
         super().__init__()
+        for name in ("sent_width", "relative_width"):
+            expected, given = getattr(local, name), getattr(inputs, name)
+            if expected not in (None, given):
+                raise UserError(
+                    f"{type(local).__name__} expects {name} {expected}, and the input feature "
+                    f"{type(inputs).__name__} has {given}; set local.init_args.{name} to {given}."
+                )
         self.grid_shape = grid_shape
         self.neighbors = neighbors
         self.inputs = inputs
@@ -58,19 +70,19 @@ class Network(nn.Module):
         self.head = Perceptron((width + self.global_feature.width, *head, target.width))
 
     def set_statistics(self, statistics: Statistics) -> None:
-        """Takes the scale of inputs and target from the training split."""
+        """Set the normalization of inputs and target from the training split."""
         self.inputs.set_statistics(statistics)
         self.target.set_statistics(statistics)
 
     def forward(self, particles: Particles, global_feature: Tensor | None = None) -> Tensor:
-        """The head's output (N, target.width) for the fluid particles.
+        """Return the head's output (N, target.width) for the fluid particles.
 
-        A profiler sees its stages as ranges: `search` and `local`, or where no edge is stored
-        `sort` and `search + local`; `voxel` and `global`, of the global vector; `head`.
+        Profiler ranges of the stages: `search` and `local`, or `sort` and `search + local` where
+        one kernel does both; `voxel` and `global` of the global vector; `head`.
 
         Args:
             particles: N fluid particles and the solid ones.
-            global_feature: (N, global_feature.width) in place of their own.
+            global_feature: (N, global_feature.width) that replaces the state's own.
         """
         features = self.features(particles)
         if global_feature is None:
@@ -80,8 +92,8 @@ class Network(nn.Module):
         return output
 
     def features(self, particles: Particles) -> Tensor:
-        """Concatenated input and local features of the fluid particles, (N, A)."""
-        local = self.local.without_edges(particles, self.neighbors, self.inputs)
+        """Return the input and local features of the fluid particles, (N, A)."""
+        local = fused_local(particles, self.neighbors, self.local, self.inputs)
         if local is None:
             with record_function("search"):
                 neighbors = self.neighbors(particles)
@@ -90,5 +102,5 @@ class Network(nn.Module):
         return torch.cat([self.inputs(particles), local], dim=1)
 
     def motion(self, particles: Particles, global_feature: Tensor | None = None) -> Motion:
-        """The predicted motion of the fluid particles over one step; `global_feature` as above."""
+        """Return the predicted motion over one step; `global_feature` as in `forward`."""
         return self.target.decode(self(particles, global_feature), particles)

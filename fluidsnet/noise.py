@@ -1,4 +1,4 @@
-"""Noise on the states a network is trained on, so that it learns to mend its own errors."""
+"""Noise on training states, so that a network learns to correct errors of a rollout."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from fluidsnet.statistics import Statistics
 
 
 class StartNoise(nn.Module):
-    """Disturbs the start of a transition; where it ends stays true.
+    """Add normal noise to the start of a transition; the next state is not changed.
 
-    Each frame gets normal noise of its own strength, drawn evenly from none up to `most`.
+    The strength is drawn for each frame from the uniform distribution on [0, `most`].
 
     Args:
-        most: greatest deviation, in units of the training split's own deviations of
-            velocity change and drift over a step.
+        most: Maximum strength, in deviations of velocity change and drift over a step in the
+            training split.
     """
 
     change_deviation: Tensor
@@ -29,12 +29,12 @@ class StartNoise(nn.Module):
         self.register_buffer("drift_deviation", torch.ones(()), persistent=False)
 
     def set_statistics(self, statistics: Statistics) -> None:
-        """Takes the scale of the noise from the training split."""
+        """Set the scale of the noise from the training split."""
         self.change_deviation.copy_(statistics.change_deviation)
         self.drift_deviation.copy_(statistics.drift_deviation)
 
     def forward(self, particles: Particles) -> Particles:
-        """The disturbed state."""
+        """Return the state with noise."""
         strength = particles.position.new_empty(particles.frames, 1).uniform_(0, self.most)
         strength = strength[particles.frame]
         return particles.moved(

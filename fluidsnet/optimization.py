@@ -1,4 +1,4 @@
-"""How models that train beside each other are optimized: each as if it were alone."""
+"""Optimizer and gradient clipping of models that are trained side by side."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ from fluidsnet.errors import UserError
 
 
 def adam(parameters: Iterable[Any]) -> Optimizer:
-    """The paper's (section 5.3): Adam at 0.003, for weights or groups of them."""
+    """Build the paper's optimizer (section 5.3), Adam at 0.003, for weights or groups of them."""
     return Adam(parameters, lr=0.003)
 
 
 def total_steps(module: LightningModule) -> int:
-    """The number of steps of the whole run, which the learning rate's schedule goes by.
+    """Return the number of steps of the whole run, for the learning rate schedule.
 
     Raises:
-        UserError: training has no end.
+        UserError: The number of steps is not limited.
     """
     steps = module.trainer.estimated_stepping_batches
     if steps == float("inf"):
         raise UserError(
-            "The learning rate's schedule needs to know where training ends: "
+            "The learning rate schedule needs the number of training steps: "
             "set trainer.max_epochs or trainer.max_steps."
         )
     return int(steps)
 
 
-def clip_each(optimizer: Optimizer, most: float, algorithm: str | None) -> None:
-    """Clips the gradients of each group of an optimizer by themselves.
+def clip_each(optimizer: Optimizer, limit: float, algorithm: str | None) -> None:
+    """Clip the gradients of each parameter group separately.
 
-    Clipped together, a steep gradient of one model would shorten the steps of the other.
+    Clipped together, a large gradient of one model would shorten the steps of the others.
 
     Args:
-        optimizer: with a group a model.
-        most: norm of a group's gradients, or size of each number of them.
+        optimizer: Optimizer with one group per model.
+        limit: Maximum norm of a group's gradients, or maximum absolute value.
         algorithm: ``value`` for the latter; the norm by default.
     """
     for group in optimizer.param_groups:
         parameters: Any = group["params"]
         if algorithm == "value":
-            clip_grad_value_(parameters, most)
+            clip_grad_value_(parameters, limit)
         else:
-            clip_grad_norm_(parameters, most)
+            clip_grad_norm_(parameters, limit)

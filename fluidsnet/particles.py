@@ -224,11 +224,13 @@ class RolloutStarts(Protocol):
         names: Name of the simulation of each start.
         first: Frame of each start.
         steps: Number of steps of each rollout.
+        known_steps: Number of steps of each rollout that have a true state.
     """
 
     names: list[str]
     first: list[int]
     steps: list[int]
+    known_steps: list[int]
 
     def __len__(self) -> int:
         """Return the number of rollouts."""

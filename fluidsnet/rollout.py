@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import torch
 
+from fluidsnet.baselines import Baselines
+from fluidsnet.integrator import Integrator
 from fluidsnet.model import Model
 from fluidsnet.particles import Particles, RolloutStart
 
@@ -25,14 +27,41 @@ def rollout(model: Model, start: Particles, steps: int) -> Iterator[Particles]:
         yield state
 
 
+def reference_rollout(
+    start: RolloutStart, integrator: Integrator
+) -> Iterator[dict[str, Particles]]:
+    """Yield "truth" and the baselines by name after 1, 2, … steps; nothing past the truth's end.
+
+    Args:
+        start: Start of the rollout; its device is the one of the states.
+        integrator: Integrator of the model that is compared with them.
+    """
+    baselines = Baselines(start.state, integrator)
+    for step in range(1, start.steps + 1):
+        states: dict[str, Particles] = {}
+        if step <= start.known_steps:
+            device = start.state.position.device
+            true = start.state.moved(*(value.to(device) for value in start.truth[step]))
+            states = {**baselines.after(step, true), "truth": true}
+        yield states
+
+
 class RolloutObserver:
-    """Interface of a callback that receives each state of a rollout."""
+    """Interface of a callback that receives each state of the rollouts of `predict`."""
 
     def on_rollout_start(self, start: RolloutStart) -> None:
         """Run before the first step."""
 
-    def on_rollout_step(self, start: RolloutStart, step: int, state: Particles) -> None:
-        """Run after a step, counted from 1."""
+    def on_rollout_step(
+        self, start: RolloutStart, step: int, states: Mapping[str, Particles]
+    ) -> None:
+        """Run after a step.
+
+        Args:
+            start: Start of the rollout.
+            step: Number of the step, counted from 1.
+            states: State of "model"; up to the truth's end also of "truth" and the baselines.
+        """
 
     def on_rollout_end(self, start: RolloutStart) -> None:
         """Run after the last step, or after an error ended the rollout."""

@@ -1,4 +1,4 @@
-"""Whether two blocks are the same but for their weights."""
+"""Comparison of blocks by class and settings."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from torch import nn
 
 
 def same_settings(block: Any, other: Any) -> bool:
-    """Whether two blocks are of one class, with equal settings and weights of equal shapes."""
+    """Return whether blocks agree in class, settings and shapes of weights."""
     return bool(_settings(block) == _settings(other))
 
 
 def _settings(block: Any) -> Any:
     if isinstance(block, nn.Module):
         return [
-            (name, type(part), _plain(part), [weight.shape for weight in part.parameters()])
+            (name, type(part), _attributes(part), [value.shape for value in part.parameters()])
             for name, part in block.named_modules()
         ]
-    return type(block), _plain(block)
+    return type(block), _attributes(block)
 
 
-def _plain(part: Any) -> dict[str, Any]:
+def _attributes(part: Any) -> dict[str, Any]:
     return {
         name: value
         for name, value in getattr(part, "__dict__", {}).items()

@@ -1,4 +1,4 @@
-"""The learning rate over a training run."""
+"""Learning rate schedule."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from torch.optim.lr_scheduler import LambdaLR
 
 @final
 class HalfwayDrop(LambdaLR):
-    """The paper's (section 5.3): the first half at the full rate, the second at 1/20 of it.
+    """The paper's schedule (section 5.3): full rate in the first half, 1/20 in the second.
 
     Args:
-        optimizer: whose rate falls.
-        total_steps: of the whole run.
-        factor: of the second half.
+        optimizer: Optimizer to schedule.
+        total_steps: Number of steps of the whole run.
+        factor: Factor on the rate in the second half.
     """
 
     def __init__(self, optimizer: Optimizer, total_steps: int, factor: float = 0.05) -> None:

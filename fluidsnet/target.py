@@ -1,4 +1,4 @@
-"""What the head predicts, and how that becomes a velocity."""
+"""Target: quantity that the head predicts, and its motion."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from fluidsnet.statistics import Statistics
 
 @dataclass(frozen=True)
 class Motion:
-    """What the network says of the next state.
+    """Predicted motion over one step.
 
     Attributes:
-        velocity: (N, 3) at the next state, m/s.
-        displacement: (N, 3) on the way there, m; None where it is not predicted.
+        velocity: (N, 3) velocity of the next state, m/s.
+        displacement: (N, 3) displacement over the step, m; None where it is not predicted.
     """
 
     velocity: Tensor
@@ -27,11 +27,11 @@ class Motion:
 
 
 class Target(nn.Module, ABC):
-    """Translates between what is learned, in numbers of order one, and motion.
+    """Encode a motion as network output of order one, and decode it.
 
     Attributes:
-        width: how many numbers a particle has.
-        gives_displacement: whether `decode` gives a displacement.
+        width: Number of columns of the output.
+        gives_displacement: `decode` returns a displacement.
     """
 
     width: int
@@ -39,26 +39,25 @@ class Target(nn.Module, ABC):
 
     @abstractmethod
     def set_statistics(self, statistics: Statistics) -> None:
-        """Takes scale and mean of the target from the training split."""
+        """Set the normalization from the training split."""
 
     @abstractmethod
     def decode(self, output: Tensor, particles: Particles) -> Motion:
-        """The motion that the network's output (N, width) stands for."""
+        """Return the motion of a network output (N, width)."""
 
     @abstractmethod
     def encode(self, particles: Particles, position: Tensor, velocity: Tensor) -> Tensor:
-        """The output (N, width) that would be right.
+        """Return the network output (N, width) of a known next state.
 
         Args:
-            particles: the state.
+            particles: State.
             position: (N, 3) of the next state, m.
             velocity: (N, 3) of the next state, m/s.
         """
 
 
-@final
-class VelocityTarget(Target):
-    """The next velocity itself, which is the paper's (section 4.2)."""
+class _Standardized(Target):
+    """Base of targets of three columns with a mean and one deviation, m/s."""
 
     width = 3
 
@@ -69,6 +68,11 @@ class VelocityTarget(Target):
         super().__init__()
         self.register_buffer("mean", torch.zeros(3))
         self.register_buffer("deviation", torch.ones(()))
+
+
+@final
+class VelocityTarget(_Standardized):
+    """The next velocity v' (the paper's, section 4.2)."""
 
     def set_statistics(self, statistics: Statistics) -> None:
         self.mean.copy_(statistics.velocity_mean)
@@ -82,19 +86,8 @@ class VelocityTarget(Target):
 
 
 @final
-class AccelerationTarget(Target):
-    """The mean acceleration over the step, a = (v' - v) / Δt (the ablation of section 5.6)."""
-
-    width = 3
-
-    mean: Tensor
-    deviation: Tensor
-
-    def __init__(self) -> None:
-        super().__init__()
-        # In m/s per step: the acceleration times Δt.
-        self.register_buffer("mean", torch.zeros(3))
-        self.register_buffer("deviation", torch.ones(()))
+class AccelerationTarget(_Standardized):
+    """The mean acceleration over the step times Δt, v' - v (the ablation of section 5.6)."""
 
     def set_statistics(self, statistics: Statistics) -> None:
         self.mean.copy_(statistics.change_mean)
@@ -109,10 +102,10 @@ class AccelerationTarget(Target):
 
 @final
 class DisplacementTarget(Target):
-    """What displacement and velocity differ by from free fall over the step.
+    """Deviation of displacement and velocity from free fall over the step.
 
-    x' = x + Δt·v + ½Δt²·g + d and v' = v + Δt·g + c; d and c are predicted, each in units
-    of its deviation in the training split.
+    x' = x + Δt·v + ½Δt²·g + d and v' = v + Δt·g + c; c and d are predicted in units of their
+    deviations in the training split.
     """
 
     width = 6

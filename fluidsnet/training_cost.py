@@ -1,4 +1,4 @@
-"""What a training step costs in time and memory."""
+"""Time and memory of a training step."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fluidsnet.model import Model
 from fluidsnet.particles import Transitions
 from fluidsnet.rng import preserve_rng_state
 
-#: Steps of each model that are timed, after one that is not.
+#: Timed steps of each model, after one warm-up step.
 ROUNDS = 3
 
 
@@ -26,21 +26,21 @@ def training_costs(
     optimizer: OptimizerCallable,
     precision: Precision,
 ) -> dict[str, dict[str, float]]:
-    """Takes training steps of copies, in turns, so that what slows the machine slows all.
+    """Measure training steps of copies of the models, in turns, so that load affects all alike.
 
-    Neither the models nor the random numbers that follow notice.
+    The models and the random state are not changed.
 
     Args:
-        models: by their names.
-        batch: to step with, on the models' device.
-        optimizer: makes one from weights.
-        precision: Lightning's, of the run.
+        models: Models by name.
+        batch: Batch of the steps, on the models' device.
+        optimizer: Builds the optimizer from weights.
+        precision: Lightning's precision plugin of the run.
 
     Returns:
-        For each model ``step_seconds``, the median time of forward and backward pass, neighbor
-        search included; ``kept_bytes``, of the tensors that the forward pass keeps for the
-        backward; ``peak_bytes`` above what was there before, where the device is a CUDA GPU;
-        ``parameters``; ``optimizer_bytes``, of the optimizer's state.
+        For each model ``step_seconds``, the median time of forward and backward pass with
+        neighbor search; ``kept_bytes``, of tensors saved for the backward pass; ``peak_bytes``,
+        the additional peak memory on a CUDA GPU; ``parameters``, their number;
+        ``optimizer_bytes``, of the optimizer's state.
     """
     device = batch.state.position.device
     costs = {}
@@ -74,24 +74,20 @@ def training_costs(
 
 
 def _timed(model: Any, batch: Transitions, precision: Precision) -> tuple[float, float]:
-    """Seconds of a step, and bytes at its peak on a GPU."""
+    """Return the seconds of a step, and its additional peak bytes on a GPU."""
     device = batch.state.position.device
+    cuda, before, peak = device.type == "cuda", 0, 0
     model.zero_grad()
-    if device.type != "cuda":
-        started = time.perf_counter()
-        _step(model, batch, precision)
-        return time.perf_counter() - started, 0.0
-    torch.cuda.synchronize(device)
-    before = torch.cuda.memory_allocated(device)
-    torch.cuda.reset_peak_memory_stats(device)
-    event: Any = torch.cuda.Event
-    start, end = event(enable_timing=True), event(enable_timing=True)
-    start.record()
+    if cuda:
+        torch.cuda.synchronize(device)
+        before = torch.cuda.memory_allocated(device)
+        torch.cuda.reset_peak_memory_stats(device)
+    started = time.perf_counter()
     _step(model, batch, precision)
-    end.record()
-    torch.cuda.synchronize(device)
-    peak = torch.cuda.max_memory_allocated(device) - before
-    return start.elapsed_time(end) / 1000, float(peak)
+    if cuda:
+        torch.cuda.synchronize(device)
+        peak = torch.cuda.max_memory_allocated(device)
+    return time.perf_counter() - started, float(peak - before)
 
 
 def _step(model: Any, batch: Transitions, precision: Precision) -> None:
@@ -101,7 +97,7 @@ def _step(model: Any, batch: Transitions, precision: Precision) -> None:
 
 
 def _kept_bytes(model: Any, batch: Transitions, precision: Precision) -> int:
-    """Bytes that a forward pass keeps for the backward, each tensor's storage counted once."""
+    """Return the bytes saved for the backward pass, each storage counted once."""
     weights = {weight.untyped_storage().data_ptr() for weight in model.parameters()}
     sizes: dict[int, int] = {}
 

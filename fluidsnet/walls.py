@@ -1,4 +1,4 @@
-"""What happens to a particle that a step takes out of the domain."""
+"""Wall condition: correction of particles that a step moves out of the domain."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from fluidsnet.particles import Particles
 
 
 class Walls(ABC):
-    """Corrects a state after its positions were integrated."""
+    """Wall condition at the border of the domain, applied after time integration."""
 
     @abstractmethod
     def __call__(self, particles: Particles) -> Particles:
-        """The state with no particle where the walls do not let it be."""
+        """Return the state with the wall condition applied."""
 
 
 @final
 class OpenWalls(Walls):
-    """Nothing happens: walls are what the network has learned of solids (the paper's)."""
+    """No condition: the network learns walls from solid particles (the paper's)."""
 
     def __call__(self, particles: Particles) -> Particles:
         return particles
@@ -28,11 +28,11 @@ class OpenWalls(Walls):
 
 @final
 class StopAtWalls(Walls):
-    """A particle stops at the wall it would cross: its velocity through the wall is lost.
+    """Inelastic walls: a particle that crosses one stops at it and loses its normal velocity.
 
     Args:
-        clearance: least distance from the walls, in particle radii; in the solver's own
-            small scenes no particle comes closer than 0.84.
+        clearance: Minimum distance from the walls, particle radii; in small scenes of the
+            solver no particle was closer than 0.84.
     """
 
     def __init__(self, clearance: float = 0.8) -> None:

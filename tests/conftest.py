@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import signal
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,19 @@ def real_solver() -> None:
     reason = reason_against_the_solver()
     if reason is not None:
         pytest.skip(reason)
+
+
+@pytest.fixture
+def default_signals() -> Iterator[None]:
+    """Give child processes the default SIGINT and SIGTERM.
+
+    A shell ignores SIGINT in background jobs, and child processes inherit an ignored signal.
+    """
+    defaults = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+    before = {number: signal.signal(number, default) for number, default in defaults.items()}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture(params=DEVICES)

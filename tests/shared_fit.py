@@ -1,6 +1,6 @@
-"""A program that trains, measures and rolls out with one process or several (DDP).
+"""Program that trains, measures and rolls out with one process or several (DDP).
 
-Lightning's DDP starts the program once more for each further process, which a test cannot be.
+Lightning's DDP starts the program again for each process, so it cannot be a test.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from callbacks import (
     RolloutMetrics,
     RolloutPicture,
     RolloutProgress,
-    RolloutTable,
     TrajectoryWriter,
 )
 from datamodules import SPHDataModule
@@ -44,14 +43,14 @@ STEPS = 4
 
 
 class InOrder(SPHDataModule):
-    """Training samples that come in order, so that the same ones make a step."""
+    """Data module with training samples in order, so that each step has the same ones."""
 
     def train_dataloader(self) -> DataLoader[Any]:
         return self._loader("train")
 
 
 class Watched(FluidsNet):
-    """Keeps the loss that is logged, how many particles a process had, and a random number."""
+    """FluidsNet that keeps the logged losses, the numbers of particles and a random number."""
 
     def on_train_start(self) -> None:
         self.drawn = float(torch.rand((), device=self.device))
@@ -64,12 +63,12 @@ class Watched(FluidsNet):
 
 
 def fit(root: Path, folder: Path, processes: int) -> None:
-    """Trains the paper's network, tests it and rolls it out; leaves all that in a folder.
+    """Train, test and roll out the paper's network.
 
     Args:
-        root: of the data set.
-        folder: for weights, figures and files.
-        processes: that share each batch.
+        root: Folder of the data set.
+        folder: Folder for weights, metrics and files.
+        processes: Number of processes that share each batch.
     """
     seed_everything(0, workers=True)
     # One frame in six: seven a simulation, so that batches mix simulations, whose particles
@@ -98,7 +97,7 @@ def fit(root: Path, folder: Path, processes: int) -> None:
         callbacks=[
             # To validate there is one simulation: one process of two has no rollout.
             OneStepTable(), RolloutMetrics(steps=2, simulations=None, every_n_validations=1),
-            RolloutProgress(), TrajectoryWriter(), RolloutTable(), RolloutPicture(),
+            RolloutProgress(), TrajectoryWriter(), RolloutPicture(),
             Ablation("target", AccelerationTarget(), "acceleration"), GlobalFeaturePermutation(),
         ],
     )  # fmt: skip
@@ -127,14 +126,14 @@ SPLITS = [(5, 8), (0, 4), (2, 300), (1, 1), (1, 0), (0, 0)]
 
 
 def rows_of(split: tuple[int, int]) -> tuple[Tensor, Tensor]:
-    """Rows far from zero, (N, 3), and a gradient for each."""
+    """Return rows far from zero, (N, 3), and a gradient for each."""
     random = torch.Generator().manual_seed(sum(split))
     rows = 100 + torch.randn(sum(split), 3, generator=random)
     return rows, torch.randn(rows.shape, generator=random)
 
 
 def share(rank: int) -> list[tuple[Any, ...]]:
-    """A process's part of batch norm, its gradients and running statistics, and of the loss."""
+    """Return a process's share of batch norm, its gradients and statistics, and of the loss."""
     results = []
     for split in SPLITS:
         rows, gradient = (values.split(split)[rank] for values in rows_of(split))
@@ -149,7 +148,7 @@ def share(rank: int) -> list[tuple[Any, ...]]:
 
 
 def refusal() -> str:
-    """What is said where there is less to measure than processes."""
+    """Return the error message for fewer samples than processes."""
     with pytest.raises(UserError) as error:
         each_once(range(1))
     return str(error.value)

@@ -120,6 +120,17 @@ def test_only_one_module_imports_the_solver() -> None:
     assert importers == ["datamodules.generate.solver"]
 
 
+def test_only_kernels_import_numba() -> None:
+    importers = {
+        place(module)
+        for module, path in modules().items()
+        for node in ast.walk(ast.parse(path.read_text()))
+        if (isinstance(node, ast.Import) and any("numba" in alias.name for alias in node.names))
+        or (isinstance(node, ast.ImportFrom) and "numba" in (node.module or ""))
+    }
+    assert importers == {"fluidsnet.kernels"}
+
+
 def test_the_network_knows_neither_lightning_nor_hdf5() -> None:
     for module, path in modules().items():
         if (

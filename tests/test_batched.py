@@ -6,10 +6,9 @@ import pytest
 import torch
 
 from fluidsnet.batched import BatchedPrediction
-from fluidsnet.features import GlobalVector, NeighborMean
+from fluidsnet.integrator import Displacement, Integrator
 from fluidsnet.memory import PeakMemory, free_bytes
-from fluidsnet.neighbors import Auto
-from fluidsnet.network import Network
+from fluidsnet.model import Model
 from fluidsnet.particles import Particles
 from fluidsnet.target import DisplacementTarget, Target, VelocityTarget
 
@@ -18,41 +17,41 @@ Make = Callable[..., Particles]
 COUNTS = [(900, 300), (1, 0), (1200, 300), (0, 50), (700, 300), (800, 0), (900, 300)]
 
 
-def _network(device: torch.device, target: Target) -> Network:
+def _model(device: torch.device, target: Target, integrator: Integrator | None = None) -> Model:
     torch.manual_seed(0)
-    return Network((6, 4, 6), Auto(), NeighborMean(), GlobalVector, target).to(device).eval()
+    model = Model((6, 4, 6), target=target, integrator=integrator)
+    return model.to(device).eval()
 
 
 @pytest.mark.parametrize("memory", [None, 0, 10**12])
 def test_together_they_move_as_alone(
     memory: int | None, make_particles: Make, device: torch.device
 ) -> None:
-    network = _network(device, DisplacementTarget())
+    model = _model(device, DisplacementTarget(), Displacement())
     states = [make_particles(count, seed=seed) for seed, count in enumerate(COUNTS)]
-    predict = BatchedPrediction(network, device, memory)
+    predict = BatchedPrediction(model, device, memory)
     found = list(predict(iter(states)))
     assert sum(predict.batches) == len(states)
     if memory == 0:
         assert predict.batches == [1] * len(states)
     if memory == 10**12:
         assert predict.batches == [1, len(states) - 1]
-    for state, motion in zip(states, found, strict=True):
+    for state, after in zip(states, found, strict=True):
         with torch.no_grad():
-            alone = network.motion(state)
-        assert alone.displacement is not None and motion.displacement is not None
-        assert torch.allclose(motion.velocity, alone.velocity, atol=1e-5)
-        assert torch.allclose(motion.displacement, alone.displacement, atol=1e-5)
+            alone = model.step(state)
+        assert after.solid_position is state.solid_position
+        assert torch.allclose(after.velocity, alone.velocity, atol=1e-5)
+        assert torch.allclose(after.position, alone.position, atol=1e-5)
 
 
 def test_batches_keep_within_what_was_measured(make_particles: Make, device: torch.device) -> None:
     states = [make_particles((2000, 500), seed=seed) for seed in range(7)]
-    predict = BatchedPrediction(_network(device, VelocityTarget()), device, 10**12)
+    predict = BatchedPrediction(_model(device, VelocityTarget()), device, 10**12)
     list(predict(states))
     # Room for three frames and a half.
     predict.bytes_per_particle = max(predict.bytes_per_particle, 1.0)
     predict.memory = int(3.5 * 2500 * predict.bytes_per_particle)
-    motions = predict(states)
-    next(motions)
+    next(predict(states))
     assert predict.batches == [3]
 
 
@@ -64,7 +63,7 @@ def test_states_are_read_as_they_are_needed(make_particles: Make, device: torch.
             read.append(number)
             yield make_particles((50, 10))
 
-    predict = BatchedPrediction(_network(device, VelocityTarget()), device, 0)
+    predict = BatchedPrediction(_model(device, VelocityTarget()), device, 0)
     next(predict(states()))
     assert read == [0, 1]
     assert torch.is_grad_enabled()
@@ -75,7 +74,7 @@ def test_other_scenes_do_not_go_together(make_particles: Make, device: torch.dev
 
     states = [make_particles((50, 10)) for _ in range(3)]
     states[2] = replace(states[2], scene=replace(states[2].scene, support_radius=0.1))
-    predict = BatchedPrediction(_network(device, VelocityTarget()), device, 10**12)
+    predict = BatchedPrediction(_model(device, VelocityTarget()), device, 10**12)
     list(predict(states))
     assert predict.batches == [1, 1, 1]
     list(predict(states))

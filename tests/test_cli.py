@@ -31,6 +31,8 @@ CONFIGS = ROOT / "configs"
 TRAINER = CONFIGS / "trainer.yaml"
 PAPER = CONFIGS / "model" / "paper.yaml"
 SAMPLE = CONFIGS / "data" / "sample.yaml"
+# Folder in the folder of a run for results on the sample.
+RESULTS = Path("results") / "dam_break"
 
 # It logs to the stderr that there is when it is loaded, which must not be one test's own.
 assert lightning
@@ -69,18 +71,21 @@ def test_every_model_trains_is_tested_and_rolls_out(
     folder = tmp_path / "run"
     assert (folder / "config.yaml").exists()
     run("test", more=(f"--run={folder}",))
-    with (folder / "one_step.csv").open() as file:
+    with (folder / RESULTS / "one_step.csv").open() as file:
         rows = list(csv.reader(file))
     assert [row[0] for row in rows[1:]] == ["model", "constant velocity", "ballistic"]
-    with (folder / "rollout_metrics.csv").open() as file:
+    with (folder / RESULTS / "rollout_metrics.csv").open() as file:
         measured = [(row["predictor"], row["steps"]) for row in csv.DictReader(file)]
     assert ("model", "1") in measured and ("truth", "25") in measured
-    assert (folder / "rollout_metrics.png").exists()
+    assert (folder / RESULTS / "rollout_metrics.png").exists()
     printed = capsys.readouterr().out
-    assert (folder / "one_step.md").read_text() in printed
+    assert (folder / RESULTS / "one_step.md").read_text() in printed
     run("predict", more=(f"--run={folder}", "--data.init_args.rollout_steps=3"))
-    assert (folder / "rollout.png").stat().st_size > 10_000
-    assert len(list((folder / "rollouts").glob("*.vtkhdf"))) == 1
+    assert (folder / RESULTS / "rollout.png").stat().st_size > 10_000
+    with (folder / RESULTS / "rollout_metrics_predict.csv").open() as file:
+        table = [row for row in csv.DictReader(file) if row["predictor"] == "model"]
+    assert [row["steps"] for row in table] == ["1", "2", "3"]
+    assert len(list((folder / RESULTS / "rollouts").glob("*.vtkhdf"))) == 1
     # A later test or prediction leaves the training's own configuration in place.
     assert "rollout_steps: null" in (folder / "config.yaml").read_text()
 
@@ -111,14 +116,14 @@ def test_every_ablation_is_compared_while_training_and_in_the_test(
     assert {*costs, *(tag for tags in charts.values() for tag in tags)} <= scalars
     assert all(events.Scalars(cost)[0].value > 0 for cost in costs)
     run("test", more=(f"--run={folder}",))
-    with (folder / "one_step.csv").open() as file:
+    with (folder / RESULTS / "one_step.csv").open() as file:
         rows = [row[0] for row in csv.reader(file)]
     assert rows[1:] == ["model", name.replace("_", " "), "constant velocity", "ballistic"]
     named = [callback["class_path"] for callback in callbacks]
-    assert (folder / "global_feature_permutation.md").exists() == (
+    assert (folder / RESULTS / "global_feature_permutation.md").exists() == (
         "callbacks.GlobalFeaturePermutation" in named
     )
-    assert (folder / "ablation.png").exists()
+    assert (folder / RESULTS / "ablation.png").exists()
 
 
 def test_the_documented_ablations_of_other_blocks_run(
@@ -132,9 +137,9 @@ def test_the_documented_ablations_of_other_blocks_run(
     folder = tmp_path / "run"
     # Any test can look at the global feature.
     run("test", more=(f"--run={folder}", "--trainer.callbacks+=callbacks.GlobalFeaturePermutation"))
-    rows = (folder / "one_step.md").read_text()
+    rows = (folder / RESULTS / "one_step.md").read_text()
     assert all(name in rows for name in ("trapezoid", "full convolutions", "wide head"))
-    assert (folder / "global_feature_permutation.md").exists()
+    assert (folder / RESULTS / "global_feature_permutation.md").exists()
     # The twins may be left out.
     alone = [f"--config={config}" for config in (TRAINER, PAPER, SAMPLE)]
     root = f"--data.init_args.root={sample}"
@@ -280,7 +285,7 @@ def test_the_rollout_file_holds_the_start_the_truths_error_and_each_step(
     folder = tmp_path / "run"
     # Ten steps more than the sample's 40, where there is no truth any more.
     run("predict", more=(f"--run={folder}", "--data.init_args.rollout_steps=50"))
-    path = folder / "rollouts" / "00000.vtkhdf"
+    path = folder / RESULTS / "rollouts" / "00000.vtkhdf"
     figures = read_field_data(path)
     with h5py.File(sample / "test.h5") as file:
         truth = file["00000/position"][()].astype(np.float64)
@@ -298,6 +303,12 @@ def test_the_rollout_file_holds_the_start_the_truths_error_and_each_step(
         expected = 1000 * np.linalg.norm(still, axis=1).mean()
         assert figures["constant_velocity_mm"][step] == pytest.approx(expected, rel=1e-4, abs=1e-3)
     assert np.isnan(figures["position_error_mm"][41:]).all()
+    with (folder / RESULTS / "rollout_metrics_predict.csv").open() as file_:
+        table = [row for row in csv.DictReader(file_) if row["predictor"] == "model"]
+    assert [row["steps"] for row in table] == ["1", "2", "5", "10", "25", "40"]
+    for row in table:
+        step = int(row["steps"])
+        assert float(row["position_error mm"]) == pytest.approx(figures["position_error_mm"][step])
 
 
 @pytest.mark.parametrize(

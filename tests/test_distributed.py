@@ -1,4 +1,4 @@
-"""Several processes train, measure and roll out as one would."""
+"""Tests that several processes train, measure and roll out as one process does."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ from shared_fit import SPLITS, STEPS, fit, rows_of
 from torch import nn
 
 ROOT = Path(__file__).parents[1]
+RESULTS = Path("run") / "results" / "data"
 
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """What `shared_fit` leaves with one process and with two."""
+    """Return the folders that `shared_fit` writes with one process and with two."""
     folder = tmp_path_factory.mktemp("processes")
     data, one, two = (folder / name for name in ("data", "one", "two"))
     for path in (data, one, two):
@@ -41,7 +42,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 def test_two_processes_train_as_one_with_twice_the_batch(folders: tuple[Path, Path]) -> None:
     one = torch.load(folders[0] / "process_0.pt")
-    assert any(name.startswith("models.other.") for name in one["weights"])
+    assert any(name.startswith("models.acceleration.") for name in one["weights"])
     two = [torch.load(folders[1] / f"process_{rank}.pt") for rank in range(2)]
     # Particles of the two differ, and so would a mean of their means.
     assert two[0]["sizes"] != two[1]["sizes"]
@@ -71,15 +72,16 @@ def test_two_processes_measure_every_frame_once(folders: tuple[Path, Path]) -> N
 
 def test_fewer_samples_than_processes_are_refused(folders: tuple[Path, Path]) -> None:
     said = torch.load(folders[1] / "process_0.pt")["refusal"]
-    assert said.startswith("There are 2 processes for 1 samples or simulations")
+    assert said.startswith("There are 2 processes and only 1 samples or simulations")
 
 
 @pytest.mark.parametrize(
-    "table", ["one_step", "rollout", "rollout_metrics", "global_feature_permutation"]
+    "table",
+    ["one_step", "rollout_metrics", "rollout_metrics_predict", "global_feature_permutation"],
 )
 def test_two_processes_write_the_same_tables(folders: tuple[Path, Path], table: str) -> None:
     one, two = (
-        list(csv.reader((folder / "run" / f"{table}.csv").read_text().splitlines()))
+        list(csv.reader((folder / RESULTS / f"{table}.csv").read_text().splitlines()))
         for folder in folders
     )
     for row, expected in zip(two[1:], one[1:], strict=True):
@@ -89,9 +91,9 @@ def test_two_processes_write_the_same_tables(folders: tuple[Path, Path], table: 
 
 def test_two_processes_write_every_rollout(folders: tuple[Path, Path]) -> None:
     for folder in folders:
-        names = [path.name for path in sorted((folder / "run" / "rollouts").iterdir())]
+        names = [path.name for path in sorted((folder / RESULTS / "rollouts").iterdir())]
         assert names == ["00000.vtkhdf", "00001.vtkhdf", "00002.vtkhdf"]
-        assert (folder / "run" / "rollout.png").exists()
+        assert (folder / RESULTS / "rollout.png").exists()
 
 
 def test_batch_norm_and_loss_of_two_processes_are_those_of_one(

@@ -30,7 +30,6 @@ def state(sample: Path, device: torch.device) -> Particles:
     return read_state(sample / "test.h5", 0.02, frame=5).to(device)
 
 
-@torch.no_grad()
 def test_an_old_run_predicts_what_it_did(sample: Path, device: torch.device) -> None:
     model = fluidsnet.load(OLD, device)
     after = model.step(state(sample, device))

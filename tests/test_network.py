@@ -13,6 +13,7 @@ from fluidsnet.features import (
     KernelMessages,
     NeighborMean,
     NoGlobalFeature,
+    ParticleState,
     VoxelField,
 )
 from fluidsnet.neighbors import BruteForce, TorchCluster
@@ -24,12 +25,25 @@ CELLS = (6, 4, 6)
 Make = Callable[..., Particles]
 
 NETWORKS: dict[str, Callable[[], Network]] = {
-    "paper": lambda: Network(CELLS, TorchCluster(), NeighborMean(), GlobalVector, VelocityTarget()),
+    "paper": lambda: Network(
+        CELLS, TorchCluster(), ParticleState(), NeighborMean(), GlobalVector, VelocityTarget()
+    ),
     "no context": lambda: Network(
-        CELLS, TorchCluster(), NeighborMean(), NoGlobalFeature, AccelerationTarget()
+        CELLS,
+        TorchCluster(),
+        ParticleState(),
+        NeighborMean(),
+        NoGlobalFeature,
+        AccelerationTarget(),
     ),
     "field": lambda: Network(
-        CELLS, TorchCluster(), KernelMessages(), VoxelField, DisplacementTarget(), head=(64,)
+        CELLS,
+        TorchCluster(),
+        ParticleState(),
+        KernelMessages(),
+        VoxelField,
+        DisplacementTarget(),
+        head=(64,),
     ),
 }
 

@@ -1,4 +1,4 @@
-"""What TensorBoard is given by a real run, read back, beside what the docs promise."""
+"""Tests of the event files of a run against the table in docs/tensorboard.md."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ assert lightning
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of the front door: an ablation, validated, tested, rolled out."""
+    """Train an ablation from the command line, validate, test, predict; return the folder."""
     there = tmp_path_factory.mktemp("tensorboard")
     configs = (ROOT / "configs" / name for name in ("ablation/global_feature.yaml",))
     data = ROOT / "configs" / "data" / "sample.yaml"
@@ -77,7 +77,7 @@ def hyperparameters(events: EventAccumulator) -> dict[str, HParamsPluginData]:
 
 
 def shown(events: EventAccumulator) -> Iterator[tuple[str, str]]:
-    """Tab and tag of all that is in the files."""
+    """Yield tab and tag of everything in the event files."""
     tags = events.Tags()
     yield from (("Scalars", tag) for tag in tags["scalars"])
     yield from (("Images", tag) for tag in tags["images"])
@@ -99,7 +99,7 @@ def shown(events: EventAccumulator) -> Iterator[tuple[str, str]]:
 
 
 def promised() -> list[tuple[str, str]]:
-    """Tab and tag, a pattern, of all that the docs' table has."""
+    """Return tab and tag (a pattern) of each row in the table of the docs."""
     text = (ROOT / "docs" / "tensorboard.md").read_text()
     rows = [line.split(" | ") for line in text.splitlines() if line.startswith("| ")][1:]
     return [
@@ -170,7 +170,7 @@ def test_the_parts_of_a_step_make_it_up(events: EventAccumulator) -> None:
 
 
 def test_the_mesh_is_what_the_trajectory_file_has(events: EventAccumulator, folder: Path) -> None:
-    (path,) = (folder / "rollouts").glob("*.vtkhdf")
+    (path,) = (folder / "results" / "dam_break" / "rollouts").glob("*.vtkhdf")
     tag = "rollout_3d/truth_and_prediction"
     points, paint = events.Tensors(f"{tag}_VERTEX"), events.Tensors(f"{tag}_COLOR")
     steps = [event.step for event in points]

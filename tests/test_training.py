@@ -1,4 +1,4 @@
-"""Mixed precision, accumulated gradients, and what a step searches and moves."""
+"""Tests of mixed precision, accumulated gradients, and the searches of a training step."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Make = Callable[..., Particles]
 
 
 class Watched(FluidsNet):
-    """Keeps the losses of all steps."""
+    """FluidsNet that keeps the losses of all steps."""
 
     def on_train_start(self) -> None:
         self.losses: list[float] = []
@@ -67,7 +67,7 @@ def test_mixed_precision_is_near_full_precision_and_gives_full_precision(
     blocks: str, make_particles: Make, device: torch.device
 ) -> None:
     torch.manual_seed(0)
-    model = FluidsNet((6, 4, 6), **BLOCKS[blocks]()).to(device).network.eval()
+    model = FluidsNet((6, 4, 6), **BLOCKS[blocks]()).to(device).model.network.eval()
     particles = make_particles((300, 100), (200, 50))
     expected = model(particles)
     expected.square().mean().backward()
@@ -88,7 +88,7 @@ def test_a_small_move_far_out_is_seen_in_mixed_precision(
     make_particles: Make, device: torch.device
 ) -> None:
     # A thousandth of the domain, which bfloat16 loses near its far end.
-    model = FluidsNet((6, 4, 6), global_feature=NoGlobalFeature).to(device).network
+    model = FluidsNet((6, 4, 6), global_feature=NoGlobalFeature).to(device).model.network
     particles = make_particles((300, 100))
     moved = particles.moved(particles.position * 0.999, particles.velocity)
     with torch.autocast(device.type, torch.bfloat16):
@@ -120,7 +120,7 @@ def test_two_accumulated_batches_are_one_of_twice_the_size(sample: Path, tmp_pat
 
 
 class Counting(BruteForce):
-    """Counts its searches."""
+    """Neighbor search that counts its calls."""
 
     calls = 0
 

@@ -9,8 +9,8 @@ import subprocess
 import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import h5py
 
@@ -22,8 +22,7 @@ from fluidsnet.errors import UserError
 from fluidsnet.progress import Progress
 
 
-@dataclass(frozen=True)
-class Failure:
+class Failure(NamedTuple):
     """Name, seed and reason of a simulation that failed."""
 
     name: str
@@ -36,16 +35,14 @@ def generate(
 ) -> list[Failure]:
     """Write ``train.h5``, ``val.h5`` and ``test.h5`` to a folder.
 
-    Complete simulations of an interrupted call are kept; only missing ones are run.
+    Complete simulations of an interrupted call are kept; only missing ones are run. Returns the
+    simulations that failed; they are not in the data set.
 
     Args:
         recipe: Settings of the data set.
         root: Folder of the data set.
         processes: Simulations at the same time; the number of cores by default.
         threads: Solver threads per simulation.
-
-    Returns:
-        The simulations that failed; they are not in the data set.
 
     Raises:
         UserError: processes or threads are below one, the solver is not installed,
@@ -97,11 +94,8 @@ def generate(
 def _claim(root: Path, recipe: Recipe) -> None:
     """Write the recipe to the folder, or check that it equals the one already there."""
     note = root / "recipe.json"
-    described = {
-        **{name: value for name, value in vars(recipe).items() if name != "scene"},
-        "scene": type(recipe.scene).__name__,
-        **{f"scene.{name}": value for name, value in vars(recipe.scene).items()},
-    }
+    scene = {f"scene.{name}": value for name, value in vars(recipe.scene).items()}
+    described = {**vars(recipe), "scene": type(recipe.scene).__name__, **scene}
     text = json.dumps(described, indent=2, default=str, sort_keys=True)
     root.mkdir(parents=True, exist_ok=True)
     if note.exists():
@@ -189,9 +183,6 @@ def _join(target: Path, sources: list[Path], failures: list[Failure]) -> None:
     with h5py.File(partial, "w") as file:
         for source in sources:
             with h5py.File(source, "r") as part:
-                if not file.attrs:
-                    for name, value in part.attrs.items():
-                        file.attrs[name] = value
-                number = source.stem.rpartition("-")[2]
-                part.copy("00000", file, name=number)
+                file.attrs.update(part.attrs)
+                part.copy("00000", file, name=source.stem.rpartition("-")[2])
     partial.replace(target)

@@ -7,13 +7,12 @@ the domain, so a kind works for a domain of any size. The up axis is y.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fluidsnet.errors import UserError
 
@@ -45,17 +44,11 @@ class Block:
 @final
 @dataclass(frozen=True)
 class Drop:
-    """Ball of fluid, or a closed mesh scaled to fit into one.
+    """Ball of fluid, or a closed mesh scaled to fit into one."""
 
-    Attributes:
-        center: Center of the ball, in m.
-        radius: Radius of the ball, in m.
-        mesh: Wavefront OBJ file with a closed surface, or None for the ball.
-    """
-
-    center: Vector
-    radius: float
-    mesh: str | None = None
+    center: Vector  # of the ball, m
+    radius: float  # of the ball, m
+    mesh: str | None = None  # Wavefront OBJ file with a closed surface
 
     def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the lower and upper corner of the bounding box, in m."""
@@ -92,9 +85,7 @@ class SceneKind(ABC):
         clearance = CLEARANCE * particle_radius
         return np.full(3, clearance), np.array(self.domain, dtype=np.float64) - clearance
 
-    def block(
-        self, corner: Sequence[float], edges: Sequence[float], particle_radius: float
-    ) -> Block:
+    def block(self, corner: ArrayLike, edges: ArrayLike, particle_radius: float) -> Block:
         """Return a block of whole particles inside the walls.
 
         Args:
@@ -139,10 +130,10 @@ class DamBreak(SceneKind):
 
     def sample(self, random: np.random.Generator, particle_radius: float) -> list[Body]:
         shares = [random.uniform(*extent) for extent in (self.width, self.height, self.depth)]
-        edges = np.array(shares) * np.array(self.domain)
+        edges = np.multiply(shares, self.domain)
         side = random.integers(0, 2, size=2)
         corner = [side[0] * self.domain[0], 0.0, side[1] * self.domain[2]]
-        return [self.block(corner, edges.tolist(), particle_radius)]
+        return [self.block(corner, edges, particle_radius)]
 
 
 @final
@@ -162,10 +153,9 @@ class CuboidBasin(SceneKind):
 
     def sample(self, random: np.random.Generator, particle_radius: float) -> list[Body]:
         edges = random.uniform(*self.edge, size=3) * min(self.domain)
-        free = np.maximum(np.array(self.domain) - edges, 0.0)
-        corner = random.uniform(size=3) * free
+        corner = random.uniform(size=3) * np.maximum(np.array(self.domain) - edges, 0.0)
         corner[1] = random.uniform(*self.lift) * self.domain[1]
-        return [self.block(corner.tolist(), edges.tolist(), particle_radius)]
+        return [self.block(corner, edges, particle_radius)]
 
 
 @final

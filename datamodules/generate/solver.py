@@ -77,9 +77,7 @@ def simulate(job: Job, report: int) -> None:
         report: File descriptor that gets one line per frame.
 
     Raises:
-        EscapedError: a particle left the domain.
-        RuntimeError: the solver failed.
-        UserError: the solver is not installed.
+        RuntimeError: the solver failed, or a particle left the domain.
     """
     solver = load_solver()
     # SPlisHSPlasH does not resolve paths from the working folder.

@@ -1,4 +1,4 @@
-"""What a particle knows of the rest of the scene."""
+"""Global feature: the whole scene around a particle (paper, sections 4.4 and 4.5)."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from fluidsnet.particles import Particles
 
 
 class GlobalFeature(nn.Module, ABC):
-    """A feature of a particle's wider surroundings.
+    """Feature of a particle's surroundings beyond its neighbors.
 
     Attributes:
-        width: of the feature.
-        needs_its_grid: whether its weights fit only the number of cells they were trained on.
-        one_a_frame: whether all particles of a frame have the same.
+        width: Number of columns of the feature.
+        needs_its_grid: The weights fit only the grid shape they were trained on.
+        one_a_frame: All particles of a frame have the same feature.
     """
 
     width: int
@@ -30,20 +30,17 @@ class GlobalFeature(nn.Module, ABC):
 
     @abstractmethod
     def forward(self, particles: Particles, features: Tensor) -> Tensor:
-        """The context (N, width) of the fluid particles.
+        """Return the global feature (N, width) of the fluid particles.
 
         Args:
             particles: N fluid particles.
-            features: (N, inputs) input and local features of them.
+            features: (N, inputs) their input and local features.
         """
 
 
 @final
 class NoGlobalFeature(GlobalFeature):
-    """None at all: the ablation "without global feature" (section 5.6, figure 12).
-
-    Neither the voxel feature nor the grid is made, since nothing would use them.
-    """
+    """No columns: the ablation "without global feature" (section 5.6, figure 12)."""
 
     width = 0
 
@@ -56,22 +53,21 @@ class NoGlobalFeature(GlobalFeature):
 
 @final
 class GlobalVector(GlobalFeature):
-    """The paper's: one vector for the whole scene, the same for each particle (section 4.5).
+    """The paper's global feature: one vector for all particles of a scene (section 4.5).
 
-    Voxel features fill a dense grid, its empty cells get random numbers, and 3-D
-    convolutions whose kernel is their stride shrink it to one cell. They are depthwise:
-    the paper's weight counts of its two networks, 9,683 and 9,811, differ by 128, as the
-    depthwise stacks of Table 1 do (7,040 and 7,168 weights), and no full ones.
-    Two linear maps reduce the vector, without an activation ("strictly linear").
+    Voxel features fill a dense grid, random numbers its empty cells, and 3-D convolutions with
+    kernel = stride shrink it to one cell. Two linear maps without activation reduce the vector
+    ("strictly linear"). The convolutions are depthwise: the paper's two networks have 9,683 and
+    9,811 weights, which differ by 128 as the depthwise stacks of Table 1 do (7,040 and 7,168).
 
     Args:
-        grid_shape: cells of the background grid.
-        inputs: width of the particles' features.
-        voxel_widths: of the voxel feature's layers.
-        reduced: widths of the two linear maps.
-        separable: depthwise convolutions; full ones otherwise.
-        empty_variance: of the random numbers in empty cells, read from N(0, 10⁻²).
-        seed: of the empty cells in evaluation; in training they are drawn afresh.
+        grid_shape: Number of cells of the background grid along x, y, z.
+        inputs: Width of the particles' features.
+        voxel_widths: Widths of the voxel feature's layers.
+        reduced: Widths of the two linear maps.
+        separable: Use depthwise convolutions; full ones otherwise.
+        empty_variance: Variance of the random numbers in empty cells, the paper's N(0, 10⁻²).
+        seed: Seed of the empty cells in evaluation; in training they are drawn at each call.
     """
 
     needs_its_grid = True
@@ -94,7 +90,7 @@ class GlobalVector(GlobalFeature):
         channels = self.voxel.width
         self.stack = nn.ModuleList(
             nn.Conv3d(channels, channels, kernel, kernel, groups=channels if separable else 1)
-            for kernel in kernels(grid_shape)
+            for kernel in kernel_shapes(grid_shape)
         )
         self.reduce = nn.Sequential(
             *(
@@ -117,21 +113,21 @@ class GlobalVector(GlobalFeature):
             occupied = occupied_voxels(particles, self.grid_shape)
             voxels = self.voxel(features, occupied)
         with record_function("global"):
-            # Mixed precision ends here: the gradient adds up a frame's particles.
+            # Back from mixed precision, since the gradient sums over a frame's particles.
             vectors = self._reduced(particles.frames, occupied, voxels).to(features.dtype)
         if particles.frames == 1:
-            # No copy for each particle.
+            # Expanded, not copied for each particle.
             return vectors.expand(len(particles), -1)
         return vectors[particles.frame]
 
     def _reduced(self, frames: int, occupied: OccupiedVoxels, voxels: Tensor) -> Tensor:
-        """One vector a frame, (F, width), from the features of the occupied cells."""
+        """Return one vector per frame, (F, width), from the features of the occupied cells."""
         grid = self._empty_grid(frames)
-        # Cells first, channels last: one row a cell to write to.
+        # Channels last, so that a cell is one row.
         grid = grid.index_copy(0, occupied.cell, voxels.to(grid.dtype))
         volume = grid.view(frames, *self.grid_shape, -1).permute(0, 4, 1, 2, 3)
         with float32_on_cpu(volume):
-            for convolution, kernel in zip(self.stack, kernels(self.grid_shape), strict=True):
+            for convolution, kernel in zip(self.stack, kernel_shapes(self.grid_shape), strict=True):
                 volume = torch.tanh(convolution(_padded(volume, kernel)))
         vectors: Tensor = self.reduce(volume.flatten(1))
         return vectors
@@ -144,15 +140,15 @@ class GlobalVector(GlobalFeature):
         return self.empty.repeat(frames, 1)
 
 
-def kernels(grid_shape: GridShape) -> list[GridShape]:
-    """The kernels, equal to the strides, that shrink a grid to one cell.
+def kernel_shapes(grid_shape: GridShape) -> list[GridShape]:
+    """Return the kernels, equal to the strides, that shrink a grid to one cell.
 
-    Along each axis they are the smallest product of twos and threes that covers it with
-    ceiling division, in ascending order: 21 is covered by 2·2·2·3, 18 by 2·3·3, 12 by
-    2·2·3, which are both columns of Table 1. A shorter axis ends with ones.
+    Along each axis they are the 2s and 3s, ascending, with the smallest product that is not
+    below the number of cells: 2·2·2·3 for 21, 2·3·3 for 18, 2·2·3 for 12, which are both columns
+    of Table 1. Shorter axes end with ones.
 
     Args:
-        grid_shape: cells of the grid.
+        grid_shape: Number of cells of the grid along x, y, z.
     """
     axes = [_factors(count) for count in grid_shape]
     depth = max(len(factors) for factors in axes)
@@ -161,20 +157,14 @@ def kernels(grid_shape: GridShape) -> list[GridShape]:
 
 
 def _factors(count: int) -> list[int]:
-    best: tuple[int, int, int] | None = None
-    for threes in range(count.bit_length() + 1):
-        twos = 0
-        while 2**twos * 3**threes < count:
-            twos += 1
-        product = 2**twos * 3**threes
-        if best is None or product < best[0]:
-            best = (product, twos, threes)
-    assert best is not None
-    return [2] * best[1] + [3] * best[2]
+    exponents = range(count.bit_length() + 1)
+    products = ((2**twos * 3**threes, twos, threes) for twos in exponents for threes in exponents)
+    _, twos, threes = min(found for found in products if found[0] >= count)
+    return [2] * twos + [3] * threes
 
 
 def _padded(volume: Tensor, kernel: tuple[int, ...]) -> Tensor:
-    """Zeros at the far end of each axis that its stride does not divide."""
+    """Pad each axis with zeros at its far end to a multiple of the stride."""
     padding: list[int] = []
     for size, stride in zip(reversed(volume.shape[2:]), reversed(kernel), strict=True):
         padding += [0, -size % stride]

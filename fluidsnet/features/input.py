@@ -1,7 +1,8 @@
-"""The seven numbers of a particle (paper, section 4.2), normalized by the scene."""
+"""Input feature of a particle (paper, section 4.2)."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import final
 
 import torch
@@ -10,19 +11,52 @@ from torch import Tensor, nn
 from fluidsnet.particles import Particles
 from fluidsnet.statistics import Statistics
 
-#: The marker s/f of fluid and solid particles.
+#: Marker s/f of fluid and solid particles.
 FLUID, SOLID = 0.0, 1.0
 
 
-@final
-class InputFeature(nn.Module):
-    """[x, y, z, u, v, w, s/f]: place in the domain, velocity in training deviations, marker.
+class InputFeature(nn.Module, ABC):
+    """Normalized columns of a particle: its own, and those it sends to its neighbors.
 
-    The place runs from -1 to 1 along each axis, so that a scene and its scaled copy look
-    alike.
+    Attributes:
+        width: Number of columns of `forward`.
+        sent_width: Number of columns of `sent`.
+        relative_width: Number of leading columns of `sent` that a receiver may subtract its
+            own from, such as the velocity.
+    """
+
+    width: int
+    sent_width: int
+    relative_width: int
+
+    @abstractmethod
+    def set_statistics(self, statistics: Statistics) -> None:
+        """Set the normalization from the training split."""
+
+    @abstractmethod
+    def forward(self, particles: Particles) -> Tensor:
+        """Return the input feature (N, width) of the fluid particles."""
+
+    @abstractmethod
+    def sent(self, particles: Particles) -> Tensor:
+        """Return what fluid and solid particles send to neighbors, (N + M, sent_width).
+
+        The offset to the neighbor is not part of it; local features add it.
+        """
+
+
+@final
+class ParticleState(InputFeature):
+    r"""The paper's seven columns [x, y, z, u, v, w, s/f]; a neighbor sends [u, v, w, s/f].
+
+    Positions run from -1 to 1 along each axis of the domain, so that a scaled scene has the
+    same features. Velocities are divided by their deviation :math:`\sigma_v` in the training
+    split. The marker s/f is 0 for fluid and 1 for solids.
     """
 
     width = 7
+    sent_width = 4
+    relative_width = 3
 
     velocity_deviation: Tensor
 
@@ -31,16 +65,16 @@ class InputFeature(nn.Module):
         self.register_buffer("velocity_deviation", torch.ones(()))
 
     def set_statistics(self, statistics: Statistics) -> None:
-        """Takes the scale of velocities from the training split."""
         self.velocity_deviation.copy_(statistics.velocity_deviation)
 
     def forward(self, particles: Particles) -> Tensor:
-        """The input features (N, 7) of the fluid particles."""
         scene = particles.scene
-        place = 2 * (particles.position - scene.domain_lower) / scene.extent - 1
-        marker = place.new_full((len(place), 1), FLUID)
-        return torch.cat([place, self.scaled(particles.velocity), marker], dim=1)
+        position = 2 * (particles.position - scene.domain_lower) / scene.extent - 1
+        marker = position.new_full((len(position), 1), FLUID)
+        return torch.cat([position, particles.velocity / self.velocity_deviation, marker], dim=1)
 
-    def scaled(self, velocity: Tensor) -> Tensor:
-        """Velocities, m/s, in units of the training split's deviation."""
-        return velocity / self.velocity_deviation
+    def sent(self, particles: Particles) -> Tensor:
+        velocity = torch.cat([particles.velocity, particles.solid_velocity])
+        marker = velocity.new_full((len(velocity), 1), SOLID)
+        marker[: len(particles)] = FLUID
+        return torch.cat([velocity / self.velocity_deviation, marker], dim=1)

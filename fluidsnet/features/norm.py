@@ -1,4 +1,4 @@
-"""Batch norm for rows that several processes share."""
+"""Batch norm over the rows of all DDP processes."""
 
 from __future__ import annotations
 
@@ -14,21 +14,19 @@ from fluidsnet.distributed import processes, sum_over_processes
 class BatchNorm(nn.BatchNorm1d):
     """Batch norm over the rows of all processes, so that DDP trains as one process would.
 
-    torch's own of this kind, SyncBatchNorm, is for GPUs alone. In training, mean and variance
-    are those of all rows, in two passes: first the mean, then the squares about it, which
-    loses nothing where the mean is large. A process may have no rows, but must call it as
-    often as the others. Where all together have fewer than two rows, which have no variance,
-    the running statistics serve. Weights and running statistics are `nn.BatchNorm1d`'s.
+    A SyncBatchNorm that also runs on CPUs. The variance takes a second pass over the rows, which
+    is exact where the mean is large. A process may have no rows, but must call it as often as
+    the others. Below two rows in all processes together, the running statistics are used.
 
     Args:
-        width: of the rows.
+        width: Number of columns of the rows.
     """
 
     def __init__(self, width: int) -> None:
         super().__init__(width)
 
     def forward(self, rows: Tensor) -> Tensor:
-        """The rows (N, width), normalized."""
+        """Return the rows (N, width), normalized."""
         if self.training and processes() > 1:
             return self._shared(rows)
         if self.training and len(rows) < 2:
@@ -45,7 +43,7 @@ class BatchNorm(nn.BatchNorm1d):
         own = torch.cat([values.sum(dim=0), values.new_full((1,), len(values))])
         sums = sum_over_processes(own)
         total, count = sums[:-1], sums[-1]
-        # Chosen on the device: to ask how many there are would make a GPU wait.
+        # Selected on the device, since reading the count would make a GPU wait.
         enough = count > 1
         mean = torch.where(enough, total / count.clamp_min(1), self.running_mean)
         centered = values - mean

@@ -1,6 +1,6 @@
-"""A context that differs from place to place: a voxel field sampled back at the particles.
+"""Global feature that varies in space: a voxel field interpolated at the particles.
 
-Beyond the paper, whose one vector tells each particle the same.
+Beyond the paper, whose one vector is the same for all particles.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from fluidsnet.particles import Particles
 
 @final
 class VoxelField(GlobalFeature):
-    """Means over cells, a U-Net of 3-D convolutions, and the field at each particle's place.
+    """Means over cells, a 3-D U-Net, and trilinear interpolation at each particle.
 
-    Pressure acts over the whole depth of a fluid at once; coarse levels carry that far, and
-    the interpolation keeps the field continuous where a particle changes its cell.
+    Pressure acts over the whole depth of a fluid at once, which the coarse levels carry. The
+    interpolation is continuous where a particle moves to another cell.
 
     Args:
-        grid_shape: cells of the background grid, at the finest level.
-        inputs: width of the particles' features.
-        channels: of the field; the width of the feature.
-        levels: of the U-Net; each halves the grid.
+        grid_shape: Number of cells of the finest grid along x, y, z.
+        inputs: Width of the particles' features.
+        channels: Channels of the field, and width of the feature.
+        levels: Levels of the U-Net; each halves the grid.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class VoxelField(GlobalFeature):
         super().__init__()
         self.grid_shape, self.width = grid_shape, channels
         self.encode = Float32Linear(inputs, channels)
-        # One channel more than the mean features: how many particles a cell has.
+        # One channel more than the mean features: the number of particles in the cell.
         self.enter = nn.Conv3d(channels + 1, channels, 3, padding=1)
         self.down = nn.ModuleList(
             nn.Conv3d(channels, channels, 3, padding=1) for _ in range(levels - 1)
@@ -49,9 +49,9 @@ class VoxelField(GlobalFeature):
     def forward(self, particles: Particles, features: Tensor) -> Tensor:
         occupied = occupied_voxels(particles, self.grid_shape)
         encoded = torch.tanh(self.encode(features))
-        crowd = encoded.new_ones(len(encoded), 1)
+        ones = encoded.new_ones(len(encoded), 1)
         means = scatter(encoded, occupied.index, dim=0, dim_size=len(occupied.cell), reduce="mean")
-        counts = scatter(crowd, occupied.index, dim=0, dim_size=len(occupied.cell), reduce="sum")
+        counts = scatter(ones, occupied.index, dim=0, dim_size=len(occupied.cell), reduce="sum")
         expected = self._particles_per_full_cell(particles)
         rows = torch.cat([means, counts / expected], dim=1)
         x, y, z = self.grid_shape
@@ -84,25 +84,25 @@ class VoxelField(GlobalFeature):
         return field
 
     def _sample(self, field: Tensor, particles: Particles) -> Tensor:
-        """The field, (F, C, X, Y, Z), between the centers of the cells: (N, C)."""
+        """Interpolate a field (F, C, X, Y, Z) between cell centers at the particles, (N, C)."""
         scene = particles.scene
-        # Mixed precision ends here: the gradient adds up a cell's particles.
+        # Back from mixed precision, since the gradient sums over a cell's particles.
         rows = field.permute(0, 2, 3, 4, 1).flatten(0, 3).to(particles.position.dtype)
         base = particles.frame * (self.grid_shape[0] * self.grid_shape[1] * self.grid_shape[2])
-        place = torch.nan_to_num((particles.position - scene.domain_lower) / scene.extent)
-        lower, upper, share = [], [], []
+        position = torch.nan_to_num((particles.position - scene.domain_lower) / scene.extent)
+        lower, upper, fraction = [], [], []
         for axis, count in enumerate(self.grid_shape):
-            between = (place[:, axis] * count - 0.5).clamp(0, count - 1)
-            first = between.floor()
-            share.append(between - first)
+            coordinate = (position[:, axis] * count - 0.5).clamp(0, count - 1)
+            first = coordinate.floor()
+            fraction.append(coordinate - first)
             lower.append(first.long())
             upper.append((first.long() + 1).clamp_max(count - 1))
         result = torch.zeros_like(rows[base])
         for corner in range(8):
-            weight, row = torch.ones_like(share[0]), torch.zeros_like(base)
+            weight, row = torch.ones_like(fraction[0]), torch.zeros_like(base)
             for axis, count in enumerate(self.grid_shape):
                 far = bool(corner >> axis & 1)
                 row = row * count + (upper if far else lower)[axis]
-                weight = weight * (share[axis] if far else 1 - share[axis])
+                weight = weight * (fraction[axis] if far else 1 - fraction[axis])
             result = result + rows[base + row] * weight[:, None]
         return result

@@ -1,21 +1,20 @@
-"""What is measured; one metric a file."""
+"""Metrics of one step and of rollouts."""
 
-from fluidsnet.metrics.center_of_mass import CenterOfMass as CenterOfMass
-from fluidsnet.metrics.chamfer import Chamfer as Chamfer
+from fluidsnet.metrics.base import FrameMean as FrameMean
+from fluidsnet.metrics.base import RolloutMetric as RolloutMetric
 from fluidsnet.metrics.density import Density as Density
-from fluidsnet.metrics.density_error import DensityError as DensityError
-from fluidsnet.metrics.escaped import Escaped as Escaped
-from fluidsnet.metrics.frame_mean import FrameMean as FrameMean
-from fluidsnet.metrics.kinetic_energy import KineticEnergy as KineticEnergy
-from fluidsnet.metrics.mse_n import MSEn as MSEn
-from fluidsnet.metrics.non_finite import NonFinite as NonFinite
-from fluidsnet.metrics.position_error import PositionError as PositionError
-from fluidsnet.metrics.rollout_errors import RolloutErrors as RolloutErrors
-from fluidsnet.metrics.rollout_metric import RolloutMetric as RolloutMetric
-from fluidsnet.metrics.rollout_position_error import RolloutPositionError as RolloutPositionError
-from fluidsnet.metrics.rollout_suite import RolloutSuite as RolloutSuite
-from fluidsnet.metrics.rollout_velocity_mse import RolloutVelocityMSE as RolloutVelocityMSE
-from fluidsnet.metrics.sinkhorn import Sinkhorn as Sinkhorn
-from fluidsnet.metrics.skill import Skill as Skill
-from fluidsnet.metrics.target_error import TargetError as TargetError
-from fluidsnet.metrics.velocity_mse import VelocityMSE as VelocityMSE
+from fluidsnet.metrics.density import DensityError as DensityError
+from fluidsnet.metrics.one_step import PositionError as PositionError
+from fluidsnet.metrics.one_step import Skill as Skill
+from fluidsnet.metrics.one_step import TargetError as TargetError
+from fluidsnet.metrics.one_step import VelocityMSE as VelocityMSE
+from fluidsnet.metrics.point_clouds import Chamfer as Chamfer
+from fluidsnet.metrics.point_clouds import Sinkhorn as Sinkhorn
+from fluidsnet.metrics.positions import CenterOfMass as CenterOfMass
+from fluidsnet.metrics.positions import Escaped as Escaped
+from fluidsnet.metrics.positions import MSEn as MSEn
+from fluidsnet.metrics.positions import NonFinite as NonFinite
+from fluidsnet.metrics.positions import RolloutPositionError as RolloutPositionError
+from fluidsnet.metrics.suite import RolloutSuite as RolloutSuite
+from fluidsnet.metrics.velocities import KineticEnergy as KineticEnergy
+from fluidsnet.metrics.velocities import RolloutVelocityMSE as RolloutVelocityMSE

@@ -1,4 +1,4 @@
-"""Neighbor search: one backend a file, one signature."""
+"""Backends of the neighbor search."""
 
 from fluidsnet.neighbors.auto import Auto as Auto
 from fluidsnet.neighbors.brute import BruteForce as BruteForce

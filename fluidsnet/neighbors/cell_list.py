@@ -1,4 +1,4 @@
-"""Exact neighbors on any device: a cell list in torch operations alone."""
+"""Exact neighbors on any device: a cell list in torch operations."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from fluidsnet.cache import TensorCache
 from fluidsnet.neighbors.search import Neighbors, NeighborSearch
 from fluidsnet.particles import Particles
 
-# A hair wider than the support radius, so that no rounding puts a neighbor two cells away.
+# Cells are wider than the support radius, so that rounding puts no neighbor two cells away.
 _WIDTH = 1.00001
-# Of the particles whose position is not finite; no cell has it.
+# Cell number of particles whose position is not finite.
 _NOWHERE = torch.iinfo(torch.int64).max
 
 
 @final
 class CellList(NeighborSearch):
-    """A cell list of sorts and look-ups: exact, of linear cost, made for a GPU.
+    """Cell list of sorts and binary searches: exact, of linear cost, for a GPU.
 
-    Particles are sorted by cell, each as wide as the support radius, and each looks
-    through the 27 around it. Fluid and solids are sorted apart; while the solids rest, their
-    order is kept from call to call. Distances are compared in float32.
+    Particles are sorted into cells as wide as the support radius, and candidates come from the
+    27 cells around each. Fluid and solids are sorted separately; the order of the solids is
+    cached while they rest. Distances are compared in float32.
 
     Args:
-        k: the most neighbors a particle has.
-        pairs: pairs looked at together, some 60 bytes each; bounds the memory, unless one
-            particle alone has more around it.
+        k: Maximum number of neighbors of a particle.
+        pairs: Pairs that are compared at once, about 60 bytes each; bounds the memory unless
+            one particle has more candidates.
     """
 
     def __init__(self, k: int = 32, pairs: int = 2**23) -> None:
         super().__init__(k)
         if pairs < 1:
-            raise ValueError(f"pairs is {pairs}; at least one has to be looked at.")
+            raise ValueError(f"pairs is {pairs}; CellList needs pairs of 1 or more.")
         self.pairs = pairs
         self._solids: TensorCache[SortedCells] = TensorCache()
 
@@ -82,16 +82,15 @@ class CellList(NeighborSearch):
 class SortedCells:
     """P particles in the order of their cells.
 
-    A cell's number is made of four fields, from high to low: frame, z, y, x. So three
-    cells along x have three numbers in a row. Far out, more than some hundred thousand cells
-    from the origin (fewer with many frames), y and z repeat and x stops: cells are shared
-    there, and no neighbor is lost.
+    A cell number has four bit fields, from high to low: frame, z, y, x; three cells along x
+    have consecutive numbers. More than some hundred thousand cells from the origin (fewer with
+    many frames) y and z wrap around and x is clamped: cells are shared, no neighbor is lost.
 
     Attributes:
         position: (P, 3) m.
-        row: (P,) int64 of each before they were sorted.
-        number: (P,) int64 of their cells; ascending.
-        bits: of each of z, y, x in a number.
+        row: (P,) int64 row of each particle before sorting.
+        number: (P,) int64 cell number; ascending.
+        bits: Bits of each of z, y, x in a number.
     """
 
     position: Tensor
@@ -101,10 +100,10 @@ class SortedCells:
 
     @classmethod
     def sorted(cls, position: Tensor, frame: Tensor, frames: int, radius: float) -> SortedCells:
-        """From positions (P, 3) in m, frames (P,), their number, and the support radius in m."""
+        """Sort positions (P, 3) in m with frames (P,); cells are as wide as the radius in m."""
         bits = (63 - frames.bit_length()) // 3
         size = 2**bits
-        # A radius of zero is allowed: then only who shares a place is a neighbor.
+        # At a radius of zero only particles at the same place are neighbors.
         cell = (position.double() / max(_WIDTH * radius, 1e-30)).floor()
         finite = cell.isfinite().all(dim=1)
         cell = cell.nan_to_num(0.0, 0.0, 0.0)
@@ -115,18 +114,18 @@ class SortedCells:
         return cls(position[row], row, number, bits)
 
     def occupied(self) -> tuple[Tensor, Tensor]:
-        """The cells' numbers (C,), and in which of them each particle is (P,), by row."""
+        """Return the occupied cell numbers (C,), and for each row the index of its cell (P,)."""
         cell, of_sorted = self.number.unique_consecutive(  # type: ignore[no-untyped-call]
             return_inverse=True
         )
         return cell, torch.empty_like(of_sorted).scatter_(0, self.row, of_sorted)
 
     def around(self, cell: Tensor, first: int = 0) -> tuple[Tensor, Tensor]:
-        """Runs of particles around cells: their begins and lengths, (C, 9) each.
+        """Return begin and length of the runs of particles around cells, (C, 9) each.
 
         Args:
-            cell: (C,) numbers.
-            first: added to the begins.
+            cell: (C,) cell numbers.
+            first: Added to the begins.
         """
         mask = 2**self.bits - 1
         step = torch.arange(-1, 2, device=cell.device)
@@ -142,7 +141,7 @@ class SortedCells:
 
 
 def _chunks(candidates: Tensor, pairs: int) -> list[tuple[int, int]]:
-    """First and last rows of chunks of particles with about so many candidates (N,) at most."""
+    """Return (first, last) of chunks of particles with about `pairs` candidates in all."""
     chunk = candidates.cumsum(0).div(pairs, rounding_mode="floor")
     _, sizes = chunk.unique_consecutive(return_counts=True)  # type: ignore[no-untyped-call]
     ends = [0, *sizes.cumsum(0).tolist()]
@@ -152,21 +151,14 @@ def _chunks(candidates: Tensor, pairs: int) -> list[tuple[int, int]]:
 def _within(
     position: Tensor, others: Tensor, begin: Tensor, length: Tensor, limit: float
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Pairs (E,) no further apart than the limit.
+    """Return particle (ascending), squared distance and candidate of the pairs (E,) in reach.
 
-    Args:
-        position: (n, 3) of the particles, m.
-        others: (P, 3) of all, m.
-        begin: (n, R) of the runs of others around a particle.
-        length: (n, R) of the same.
-        limit: m².
-
-    Returns:
-        The particle, ascending; the squared distance; the index of the other.
+    Positions (n, 3) and those of the candidates (P, 3) are in m, the limit in m²; begin and
+    length (n, R) are the runs of candidates around each particle.
     """
     runs, lengths = begin.shape[1], length.flatten()
     run = torch.arange(len(lengths), device=lengths.device).repeat_interleave(lengths)
-    # Where a run begins among all, less where it begins among the pairs.
+    # Begin of a run among the candidates, less its begin among the pairs.
     shift = begin.flatten() - (lengths.cumsum(0) - lengths)
     other = torch.arange(len(run), device=run.device) + shift[run]
     particle = run.div_(runs, rounding_mode="floor")
@@ -176,8 +168,8 @@ def _within(
 
 
 def _nearest(particle: Tensor, squared: Tensor, row: Tensor, k: int) -> tuple[Tensor, Tensor]:
-    """The first k of each particle by squared distance, then row; all (E,)."""
-    # The bits of a float that is not negative sort as it does.
+    """Keep the first k pairs of each particle by squared distance, then row; all (E,)."""
+    # The bits of a nonnegative float sort like the float.
     order = (squared.view(torch.int32).long() << 32 | row).argsort()
     order = order[particle[order].argsort(stable=True)]
     particle, row = particle[order], row[order]

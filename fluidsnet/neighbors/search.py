@@ -1,4 +1,4 @@
-"""What every backend takes and gives."""
+"""Neighbor search: interface of the backends, and the neighbor list they return."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from fluidsnet.neighbors.cells import CellTable
 from fluidsnet.particles import Particles
 
 
 @dataclass(frozen=True)
 class Neighbors:
-    """Edges from fluid particles to their neighbors, one particle's after another's.
+    """Edges from fluid particles to their neighbors, sorted by particle (CSR).
 
     Attributes:
         particle: (E,) int64, row of the fluid particle; ascending.
@@ -28,36 +27,28 @@ class Neighbors:
 
     @classmethod
     def from_edges(cls, particle: Tensor, neighbor: Tensor, particles: int) -> Neighbors:
-        """From edges (E,) whose `particle` ascends, and the number of fluid particles."""
+        """Build from edges (E,) with ascending `particle`, and the number of fluid particles."""
         counts = torch.bincount(particle, minlength=particles)
         offset = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
         return cls(particle, neighbor, offset)
 
 
 class NeighborSearch(ABC):
-    """Finds the nearest particles within the support radius (paper, section 4.3).
+    """Search for the nearest particles within the support radius (paper, section 4.3).
 
-    A neighbor is any other particle of the same frame, fluid or solid, at a distance of
-    at most the support radius; a second particle at the same place is one. Where there
-    are more than `k`, the k nearest count; among those equally far, the lower rows.
+    Neighbors of a fluid particle are the other particles of its frame, fluid or solid, at a
+    distance of at most the support radius; a second particle at the same place is one. Where
+    there are more than `k`, the k nearest count; of equally far ones, the lower rows.
 
     Args:
-        k: the most neighbors a particle has.
+        k: Maximum number of neighbors of a particle.
     """
 
     def __init__(self, k: int = 32) -> None:
         if k < 1:
-            raise ValueError(f"k is {k}; a particle needs room for one neighbor at least.")
+            raise ValueError(f"k is {k}; a neighbor search needs k of 1 or more.")
         self.k = k
 
     @abstractmethod
     def __call__(self, particles: Particles) -> Neighbors:
-        """The neighbors of each fluid particle, the nearest first."""
-
-    def cells(self, particles: Particles) -> tuple[CellTable, CellTable] | None:
-        """Fluid and solid particles sorted into cells as wide as the support radius.
-
-        For who looks for neighbors without storing them; None where the backend has no such
-        cells on the CPU.
-        """
-        return None
+        """Return the neighbors of each fluid particle, the nearest first."""

@@ -1,4 +1,4 @@
-"""The true k nearest of torch-cluster, cut at the support radius."""
+"""The k nearest neighbors of torch-cluster, cut at the support radius."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from fluidsnet.particles import Particles
 
 @final
 class TorchCluster(NeighborSearch):
-    """torch-cluster's ``knn``: a k-d tree on the CPU, every pair on a GPU.
+    """torch-cluster's ``knn``: a k-d tree on the CPU, brute force on a GPU.
 
-    Its radius search is not used: beyond its cap it keeps arbitrary neighbors, not the
-    nearest. Of neighbors that are equally far at the cap, it keeps whichever it finds first.
+    Its radius search is not used, since it keeps arbitrary neighbors beyond its cap. Of equally
+    far neighbors at the cap, ``knn`` keeps the first that it finds.
     """
 
     def __call__(self, particles: Particles) -> Neighbors:
         count = len(particles)
-        everyone = torch.cat([particles.position, particles.solid_position])
+        position = torch.cat([particles.position, particles.solid_position])
         frame = torch.cat([particles.frame, particles.solid_frame])
-        # knn needs each frame's particles side by side.
+        # knn needs the particles sorted by frame.
         order = frame.argsort(stable=True)
-        # One more than k, since a particle is its own nearest.
+        # One more than k, since a particle is its nearest neighbor.
         particle, neighbor = knn(
-            everyone[order],
+            position[order],
             particles.position,
             self.k + 1,
             batch_x=frame[order],
@@ -35,10 +35,10 @@ class TorchCluster(NeighborSearch):
             batch_size=particles.frames,
         )
         neighbor = order[neighbor]
-        squared = (everyone[neighbor] - particles.position[particle]).square().sum(dim=-1)
+        squared = (position[neighbor] - particles.position[particle]).square().sum(dim=-1)
         itself = neighbor == particle
-        # Where more than k lie at its very place, a particle may not be among its own k + 1:
-        # what counts is the rank among the others.
+        # A particle with more than k others at its place may be missing among its k + 1, so the
+        # rank is counted without it.
         start = Neighbors.from_edges(particle, neighbor, particles=count).offset[particle]
         before = torch.cat([start.new_zeros(1), itself.cumsum(0)])
         edge = torch.arange(len(particle), device=particle.device)

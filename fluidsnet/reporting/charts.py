@@ -1,4 +1,4 @@
-"""TensorBoard's charts of several curves (its tab "Custom Scalars")."""
+"""Charts of several curves in TensorBoard's tab "Custom Scalars"."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from lightning.pytorch.loggers import TensorBoardLogger
 
 from fluidsnet.module import FluidsNet
 
-#: By category, by title, what starts the tags of a chart's curves: regular expressions.
+#: Regular expressions that match the tags of a chart, by category and title.
 Charts = dict[str, dict[str, list[str]]]
 
 
 class ChartSource(ABC):
-    """A callback that has curves drawn into one chart.
+    """Interface of a callback with charts in TensorBoard.
 
-    TensorBoard reads one layout of a run, so that sources must not write theirs by themselves:
-    each calls `write_charts` when training starts, and the first of them writes all.
+    TensorBoard reads one layout per run, so each source calls `write_charts` when training starts,
+    and the first source writes the charts of all.
     """
 
     @abstractmethod
     def charts(self, module: FluidsNet) -> Charts:
-        """Its charts."""
+        """Return the charts of this source."""
 
     def write_charts(self, trainer: Trainer, module: FluidsNet) -> None:
-        """Writes the charts of all sources among the callbacks, if this is the first."""
+        """Write the charts of all sources among the callbacks, if this is the first source."""
         callbacks = trainer.callbacks  # type: ignore[attr-defined]
-        sources = [other for other in callbacks if isinstance(other, ChartSource)]
+        sources = [source for source in callbacks if isinstance(source, ChartSource)]
         if sources[0] is not self or not trainer.is_global_zero:
             return
         layout: dict[str, dict[str, list[object]]] = {}

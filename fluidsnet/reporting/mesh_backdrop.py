@@ -1,4 +1,4 @@
-"""What stands around the particles of a scene in TensorBoard's tab Mesh."""
+"""Domain backdrop for TensorBoard's mesh view."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from numpy.typing import NDArray
 
 from fluidsnet.scene import Scene
 
-# Dark, as the page behind is white, and so are the fastest particles.
+# Dark, since the page and the fastest particles are white.
 _SHEET, _EDGE = (34, 42, 54), (109, 122, 140)  # red, green, blue
-_VIEW = 40  # degrees from the picture's lower to its upper end
-_MOST = 48  # points along an edge of a sheet
+_VIEW = 40  # vertical field of view, degrees
+_MAX_POINTS = 48  # along an edge
 
 Floats = NDArray[np.float32]
 
 
 @final
 class MeshBackdrop:
-    """The domain twice, side by side around the origin: floor, back wall and edges, of points.
+    """Two copies of the domain side by side: floor, back wall and edges, as points.
+
+    Args:
+        scene: Scene with the domain.
 
     Attributes:
         points: (E, 3) m.
         colors: (E, 3) uint8, red, green, blue.
-        shifts: from a position in the domain to its place in the left and in the right one, (3,) m.
-        config: of the scene's camera and points, for `SummaryWriter.add_mesh`.
-
-    Args:
-        scene: whose domain it is.
+        shifts: Offset of the left and of the right copy from the domain, (3,) m each.
+        config: Settings of camera and points for `SummaryWriter.add_mesh`.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -37,46 +37,43 @@ class MeshBackdrop:
         apart: Floats = np.array([0.55 * self._width[0], 0, 0], np.float32)
         middle: Floats = self._lower + self._width / np.float32(2)
         self.shifts: tuple[Floats, Floats] = (-middle - apart, -middle + apart)
-        # Smaller than the particles, or they would run together: points are not shaded.
+        # Smaller than the particles: points without shading would merge.
         size = 1.7 * scene.particle_radius
         sheets, edges = self._sheets(size), self._edges()
-        one = self._lower + np.concatenate([sheets, edges]) * self._width
-        self.points: Floats = np.concatenate([one + shift for shift in self.shifts])
+        domain = self._lower + np.concatenate([sheets, edges]) * self._width
+        self.points: Floats = np.concatenate([domain + shift for shift in self.shifts])
         colors = np.array([_SHEET] * len(sheets) + [_EDGE] * len(edges), np.uint8)
         self.colors: NDArray[np.uint8] = np.tile(colors, (2, 1))
         self.config = self._camera(size)
 
     def near(self, position: Floats) -> NDArray[np.bool_]:
-        """Which particles are in the domain, or no farther from it than a quarter of its width.
+        """Return a mask (N,) of particles at most a quarter of the domain's width outside it.
 
         Args:
-            position: (N, 3) m.
-
-        Returns:
-            (N,), false for what is not finite.
+            position: (N, 3) m; particles that are not finite are False.
         """
         with np.errstate(invalid="ignore"):
-            off: Floats = np.abs((position - self._lower) / self._width - 0.5)
-            return np.asarray((off <= 0.75).all(axis=1))
+            offset: Floats = np.abs((position - self._lower) / self._width - 0.5)
+            return np.asarray((offset <= 0.75).all(axis=1))
 
     def _sheets(self, size: float) -> Floats:
-        """Floor and back wall, as shares of the domain, (P, 3)."""
+        """Return points of floor and back wall, as shares of the domain, (P, 3)."""
         x, y, z = (
-            np.linspace(0, 1, int(np.clip(width / size, 2, _MOST)), dtype=np.float32)
+            np.linspace(0, 1, int(np.clip(width / size, 2, _MAX_POINTS)), dtype=np.float32)
             for width in self._width
         )
         floor = np.stack(np.meshgrid(x, [np.float32(0)], z), axis=-1).reshape(-1, 3)
         wall = np.stack(np.meshgrid(x, y, [np.float32(0)]), axis=-1).reshape(-1, 3)
-        # A little outside, so that no particle is within.
-        off = size / self._width
-        floor[:, 1] -= off[1]
-        wall[:, 2] -= off[2]
+        # Slightly outside, so that no particle intersects them.
+        gap = size / self._width
+        floor[:, 1] -= gap[1]
+        wall[:, 2] -= gap[2]
         return np.concatenate([floor, wall])
 
     def _edges(self) -> Floats:
-        """The twelve edges, as shares of the domain, (P, 3)."""
-        along = np.linspace(0, 1, _MOST)
-        points = np.empty((3, 4, _MOST, 3), np.float32)
+        """Return points of the twelve edges, as shares of the domain, (P, 3)."""
+        along = np.linspace(0, 1, _MAX_POINTS)
+        points = np.empty((3, 4, _MAX_POINTS, 3), np.float32)
         for axis in range(3):
             for corner in range(4):
                 points[axis, corner, :, axis] = along
@@ -85,7 +82,7 @@ class MeshBackdrop:
         return points.reshape(-1, 3)
 
     def _camera(self, size: float) -> dict[str, Any]:
-        """In front and above; both domains fill a picture that is a little wider than high."""
+        """Return a camera in front and above that shows both copies."""
         width, _, depth = (float(extent) for extent in self._width)
         away = 2.6 * width + depth / 2
         rise = np.radians(18.0)
@@ -98,7 +95,7 @@ class MeshBackdrop:
                 "position": [0.0, float(away * np.sin(rise)), float(away * np.cos(rise))],
                 "lookAt": [0.0, 0.0, 0.0],
             },
-            # Where points are drawn, a view of 90 degrees is taken for granted.
+            # The point size is scaled for a field of view of 90 degrees.
             "material": {
                 "cls": "PointsMaterial",
                 "size": size / float(np.tan(np.radians(_VIEW / 2))),

@@ -22,7 +22,7 @@ def results_folder(trainer: Trainer) -> Path:
     """Return the folder for results on the trainer's data, and note there what the data are.
 
     It is ``results/<name of the data folder>`` in the run's folder. Data of the same name that
-    differ in path, file hash, frames or stride get a number behind the name. All processes must
+    differ in file hash, frames or stride get a number behind the name. All processes must
     call it together, as in a callback's ``setup``.
 
     Args:
@@ -59,10 +59,15 @@ def _claim(results: Path, identity: Mapping[str, Any]) -> Path:
     name = Path(identity["root"]).name or "data"
     text = json.dumps(identity, indent=2)
     folders = (results / (name if number == 1 else f"{name}_{number}") for number in count(1))
-    folder = next(folder for folder in folders if _note(folder) in (None, json.loads(text)))
+    folder = next(folder for folder in folders if _is_same(_note(folder), json.loads(text)))
     folder.mkdir(parents=True, exist_ok=True)
     (folder / DATA_FILE).write_text(f"{text}\n", "utf-8")
     return folder
+
+
+def _is_same(note: dict[str, Any] | None, identity: dict[str, Any]) -> bool:
+    """Return whether a folder is free or holds results on the same data, wherever these lie."""
+    return note is None or {**note, "root": ""} == {**identity, "root": ""}
 
 
 def _note(folder: Path) -> dict[str, Any] | None:

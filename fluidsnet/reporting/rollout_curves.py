@@ -1,4 +1,4 @@
-"""Errors and energies of rollouts against time."""
+"""Curves of rollout metrics against time."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from fluidsnet.metrics.rollout_suite import Figures
+from fluidsnet.baselines import TRIVIAL_PREDICTORS, Baselines
+from fluidsnet.metrics.suite import RolloutResults
 
-#: Of predictors.
+#: Colors of the predictors.
 COLORS = {
     "model": "#1f63ea",
     "integrator_floor": "#888888",
@@ -23,69 +24,55 @@ COLORS = {
     "ballistic": "#b2182b",
     "truth": "#111111",
 }
-#: Of models that train beside "model", in their order.
+#: Colors of the twins, in their order.
 TWIN_COLORS = ("#2a9d3a", "#8e44ad", "#d6409f", "#0e9aa7")
-# A metric's name, the axis's label, whose curves are drawn, whether the axis is logarithmic.
+_TRIVIAL = tuple(TRIVIAL_PREDICTORS)
+# Name of the metric, label of the axis, predictors, and True for a logarithmic axis.
 _Panel = tuple[str, str, tuple[str, ...], bool]
 _PANELS: tuple[_Panel, ...] = (
-    (
-        "position_error_mm",
-        "position error, mm",
-        ("model", "integrator_floor", "constant_velocity", "ballistic"),
-        True,
-    ),
-    (
-        "kinetic_energy_j_per_kg",
-        "kinetic energy, J/kg",
-        ("truth", "model", "constant_velocity", "ballistic"),
-        False,
-    ),
-    (
-        "center_of_mass",
-        "center of mass, relative error",
-        ("model", "constant_velocity", "ballistic"),
-        True,
-    ),
+    ("position_error_mm", "position error, mm", ("model", *Baselines.names), True),
+    ("kinetic_energy_j_per_kg", "kinetic energy, J/kg", ("truth", "model", *_TRIVIAL), False),
+    ("center_of_mass", "center of mass, relative error", ("model", *_TRIVIAL), True),
 )
 
 
 def draw_curves(
-    path: Path, figures: Figures, time_step: float, loggers: Sequence[Any], group: str
+    path: Path, results: RolloutResults, time_step: float, loggers: Sequence[Any], group: str
 ) -> None:
     """Draw error, energy and center of mass against time to a PNG file and to TensorBoard.
 
-    What is not finite has no line; the title of its panel says from when on.
+    Non-finite values have no line; the title of the panel has the time they begin at.
 
     Args:
-        path: of the picture.
-        figures: of the rollouts.
+        path: Path of the picture.
+        results: Metrics of the rollouts.
         time_step: s.
-        loggers: the trainer's; TensorBoard's get the panels.
-        group: of their tags there.
+        loggers: Loggers of the trainer; those of TensorBoard get the panels.
+        group: Group of the tags in TensorBoard.
     """
     figure = Figure(figsize=(15, 4.2), dpi=100, layout="constrained")
     for axes, panel in zip(figure.subplots(1, len(_PANELS)), _PANELS, strict=True):
-        _draw(axes, panel, figures, time_step)
+        _draw(axes, panel, results, time_step)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path)
     for logger in loggers:
         if isinstance(logger, TensorBoardLogger):
-            # Each by itself: TensorBoard shows pictures small.
+            # One picture per panel, as TensorBoard shows pictures small.
             for panel in _PANELS:
-                alone = Figure(figsize=(5.4, 4.2), dpi=100, layout="constrained")
-                _draw(alone.subplots(), panel, figures, time_step)
-                logger.experiment.add_figure(f"{group}/{panel[0]}", alone, close=False)
+                single = Figure(figsize=(5.4, 4.2), dpi=100, layout="constrained")
+                _draw(single.subplots(), panel, results, time_step)
+                logger.experiment.add_figure(f"{group}/{panel[0]}", single, close=False)
 
 
-def _draw(axes: Axes, panel: _Panel, figures: Figures, time_step: float) -> None:
+def _draw(axes: Axes, panel: _Panel, results: RolloutResults, time_step: float) -> None:
     name, label, predictors, logarithmic = panel
-    twins = [predictor for predictor in figures if predictor not in COLORS]
+    twins = [predictor for predictor in results if predictor not in COLORS]
     colors = {**COLORS, **dict(zip(twins, cycle(TWIN_COLORS)))}
     broken: list[str] = []
     for predictor in (*predictors, *twins):
-        values = figures[predictor][name].cpu().numpy()
+        values = results[predictor][name].cpu().numpy()
         time = time_step * np.arange(1, len(values) + 1)
-        # A floor of zero has no place on a logarithmic axis.
+        # A logarithmic axis cannot show an integrator floor of zero.
         drawn = np.where(np.isfinite(values) & ((values > 0) | (not logarithmic)), values, np.nan)
         axes.plot(
             time,
@@ -100,13 +87,13 @@ def _draw(axes: Axes, panel: _Panel, figures: Figures, time_step: float) -> None
     axes.set(xlabel="time, s", ylabel=label, yscale="log" if logarithmic else "linear")
     if not logarithmic:
         shown = ("truth", "model", *twins)
-        axes.set_ylim(0, _top([figures[who][name].cpu().numpy() for who in shown]))
+        axes.set_ylim(0, _top([results[predictor][name].cpu().numpy() for predictor in shown]))
     axes.grid(alpha=0.3)
     axes.legend()
 
 
 def _top(curves: Sequence[NDArray[Any]]) -> float:
-    """Where an axis ends that shows some curves; ballistic never lands, and may leave it."""
+    """Return the upper end of the axis for curves; ballistic falls on and may leave the axis."""
     values = np.concatenate(curves)
     values = values[np.isfinite(values)]
     return 1.3 * float(values.max(initial=1e-3))

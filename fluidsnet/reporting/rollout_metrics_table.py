@@ -1,15 +1,18 @@
-"""The table of the rollouts' metrics."""
+"""Table of rollout metrics."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
-from fluidsnet.metrics.rollout_suite import BESIDE, Figures
-from fluidsnet.particles import RolloutStarts
-from fluidsnet.reporting.table import Cell, write_table
+from torch import Tensor
 
-# A metric's name, its column, and what its number is multiplied by.
+from fluidsnet.metrics.suite import BASELINES, RolloutResults
+from fluidsnet.particles import RolloutStarts
+from fluidsnet.reporting.rollout_scalars import logged_steps
+from fluidsnet.reporting.table import Cell, markdown, write_table
+
+# Name of the metric, header of its column, and factor of its unit.
 _COLUMNS = (
     ("position_error_mm", "position_error mm", 1),
     ("position_error_radii", "position_error radii", 1),
@@ -25,50 +28,69 @@ _COLUMNS = (
     ("escaped", "escaped %", 100),
     ("non_finite", "non-finite %", 100),
 )
+# Columns that fit a terminal: header, predictor (None is the row's), metric and factor.
+_PRINTED = (
+    ("error mm", None, "position_error_mm", 1),
+    ("constant velocity mm", "constant_velocity", "position_error_mm", 1),
+    ("ballistic mm", "ballistic", "position_error_mm", 1),
+    ("chamfer mm", None, "chamfer_mm", 1),
+    ("energy error %", None, "kinetic_energy", 100),
+    ("escaped %", None, "escaped", 100),
+)
 
 
 def write_rollout_metrics(
-    path: Path, figures: Figures, starts: RolloutStarts, steps: Sequence[int], time_step: float
+    path: Path, results: RolloutResults, starts: RolloutStarts, time_step: float
 ) -> str:
-    """Writes ``<path>.md`` and ``<path>.csv``, a row a predictor and number of steps.
+    """Write ``<path>.md`` and ``<path>.csv``, with a row for each predictor and number of steps.
 
     Args:
-        path: without an ending.
-        figures: of the rollouts.
-        starts: of the same.
-        steps: that have a row.
+        path: Path without a suffix.
+        results: Metrics of the rollouts, the models first.
+        starts: Starts of the rollouts.
         time_step: s.
 
     Returns:
-        Markdown of the models' rows, and a line for each rollout that turned non-finite.
+        Markdown of the models' rows with fewer columns, and a line for each rollout that became
+        non-finite.
     """
+    steps = logged_steps(results)
     rows: list[list[Cell]] = []
-    for predictor, of in figures.items():
+    for predictor, metrics in results.items():
         for step in steps:
-            there = {name for name, end in zip(starts.names, starts.steps, strict=True)
-                     if end >= step}  # fmt: skip
-            row: list[Cell] = [predictor.replace("_", " "), step, step * time_step, len(there)]
-            for name, _, scale in _COLUMNS:
-                value = scale * float(of[name][step - 1]) if name in of else float("nan")
-                # Not a number is what was not measured; what blew up is infinite.
-                row.append("" if value != value else value)
+            simulations = int(results["model"]["simulations"][step - 1])
+            row: list[Cell] = [predictor.replace("_", " "), step, step * time_step, simulations]
+            row += [_cell(metrics, name, step, factor) for name, _, factor in _COLUMNS]
             rows.append(row)
     header = ("predictor", "steps", "time s", "simulations", *(title for _, title, _ in _COLUMNS))
-    lines = write_table(path, header, rows).splitlines()
-    models = [predictor for predictor in figures if predictor not in BESIDE]
-    broken = _broken(figures, starts, models)
-    with path.with_suffix(".md").open("a", encoding="utf-8") as file:
-        file.writelines(f"\n{line}\n" for line in broken)
-    return "\n".join([*lines[: 2 + len(steps) * len(models)], *broken])
-
-
-def _broken(figures: Figures, starts: RolloutStarts, models: Sequence[str]) -> list[str]:
-    return [
+    write_table(path, header, rows)
+    models = [predictor for predictor in results if predictor not in BASELINES]
+    printed: list[list[Cell]] = [
+        [
+            model.replace("_", " "),
+            step,
+            step * time_step,
+            *(_cell(results[of or model], name, step, unit) for _, of, name, unit in _PRINTED),
+        ]
+        for model in models
+        for step in steps
+    ]
+    table = markdown(("predictor", "steps", "time s", *(title for title, *_ in _PRINTED)), printed)
+    broken = [
         f"{'The model' if model == 'model' else model.replace('_', ' ')}'s rollout of /{name} from "
         f"frame {frame} is not finite from step {step:.0f} on."
         for model in models
         for name, frame, step in zip(
-            starts.names, starts.first, figures[model]["non_finite_step"].tolist(), strict=True
+            starts.names, starts.first, results[model]["non_finite_step"].tolist(), strict=True
         )
         if step != float("inf")
     ]
+    with path.with_suffix(".md").open("a", encoding="utf-8") as file:
+        file.writelines(f"\n{line}\n" for line in broken)
+    return "\n".join([table.rstrip(), *broken])
+
+
+def _cell(metrics: Mapping[str, Tensor], name: str, step: int, factor: float) -> Cell:
+    """Return a metric after a step; empty where it was not measured (NaN)."""
+    value = factor * float(metrics[name][step - 1]) if name in metrics else float("nan")
+    return "" if value != value else value

@@ -1,4 +1,4 @@
-"""Where a run leaves its files."""
+"""Folder of a run."""
 
 from __future__ import annotations
 
@@ -8,13 +8,8 @@ from lightning import Trainer
 
 
 def run_folder(trainer: Trainer) -> Path:
-    """The logger's folder of this run, or the trainer's root folder where nothing is logged.
+    """Return the folder of the trainer's logger, or its root folder without a logger.
 
-    Processes agree on it: all must ask together, as in a callback's ``setup``, or it hangs.
+    All processes must call it together, as in a callback's ``setup``.
     """
     return Path(trainer.log_dir or trainer.default_root_dir)
-
-
-def rollout_file(folder: Path, simulation: str) -> Path:
-    """The trajectory of the rollout of a simulation in a run's folder."""
-    return folder / "rollouts" / f"{simulation}.vtkhdf"

@@ -1,4 +1,4 @@
-"""The paper's dam break at any size: the domain grows, the particles do not."""
+"""The paper's dam break with any number of particles of the same size, in a scaled domain."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from datamodules.generate.recipe import Recipe
 from datamodules.generate.scenes import CLEARANCE, DamBreak, Vector
 from datamodules.schema import COMPRESSION, Header, create_frames
 
-#: Edges of the paper's domain, m, and its particles' radius, m (section 5.1).
+#: Edges of the paper's domain, m, and particle radius, m (section 5.1).
 DOMAIN: Vector = (6.0, 4.0, 6.0)
 RADIUS = 0.05
-#: Cells of its background grid (Table 1); a larger scene keeps them, and they grow.
+#: Cells of its background grid (Table 1); in a larger scene the cells are larger.
 CELLS = (18, 12, 18)
-#: The column's share of the domain: the middle of what `DamBreak` draws. At the paper's own
-#: size these make 46,400 particles; the paper's scene has 46,430.
+#: Edges of the column over those of the domain: the middle of the ranges that `DamBreak` draws
+#: from. At the paper's size they give 46,400 particles; the paper's scene has 46,430.
 SHARES = (0.45, 0.78, 0.92)
 
 
 @final
 @dataclass(frozen=True)
 class Dam:
-    """A dam break with about so many fluid particles.
+    """A dam break scene.
 
     Attributes:
-        layers: particles of the column along x, y and z.
-        domain: edges, m; the paper's, all times the same number.
+        layers: Number of particles of the column along x, y and z.
+        domain: Edges of the domain, m; the paper's, scaled by one factor.
     """
 
     layers: tuple[int, int, int]
@@ -40,44 +40,44 @@ class Dam:
 
     @classmethod
     def of(cls, particles: int) -> Dam:
-        """The dam break whose column, of whole layers, is nearest to a number of particles."""
+        """Return the dam break whose column of whole layers is nearest to a particle number."""
         spacing = 2 * RADIUS
-        one = float(np.prod(np.array(SHARES) * np.array(DOMAIN))) / spacing**3
-        scale = max((particles / one) ** (1 / 3), 4 * spacing / min(DOMAIN))
+        unscaled = float(np.prod(np.array(SHARES) * np.array(DOMAIN))) / spacing**3
+        scale = max((particles / unscaled) ** (1 / 3), 4 * spacing / min(DOMAIN))
         edges = scale * np.array(DOMAIN)
         ideal = np.array(SHARES) * edges / spacing
-        room = np.floor((edges - 2 * CLEARANCE * RADIUS) / spacing)
+        most = np.floor((edges - 2 * CLEARANCE * RADIUS) / spacing)
         best: tuple[float, tuple[int, int, int]] | None = None
-        for x in _around(ideal[0], room[0]):
-            for y in _around(ideal[1], room[1]):
-                z = int(np.clip(round(particles / (x * y)), 1, room[2]))
-                # The nearest count, and of equally near ones the shape that is nearest.
-                bent = float(np.abs(np.log(np.array([x, y, z]) / ideal)).sum())
-                missed = abs(x * y * z - particles) + bent
-                if best is None or missed < best[0]:
-                    best = (missed, (x, y, z))
+        for x in _around(ideal[0], most[0]):
+            for y in _around(ideal[1], most[1]):
+                z = int(np.clip(round(particles / (x * y)), 1, most[2]))
+                # The difference in number decides, then the difference in shape.
+                distortion = float(np.abs(np.log(np.array([x, y, z]) / ideal)).sum())
+                difference = abs(x * y * z - particles) + distortion
+                if best is None or difference < best[0]:
+                    best = (difference, (x, y, z))
         assert best is not None
         width, height, depth = (float(edge) for edge in edges)
         return cls(best[1], (width, height, depth))
 
     @property
     def particles(self) -> int:
-        """How many fluid particles there are."""
+        """Number of fluid particles."""
         return self.layers[0] * self.layers[1] * self.layers[2]
 
     def recipe(
         self, solver: SolverName, frames: int, frame_interval: float, solver_step: float
     ) -> Recipe:
-        """One simulation of it, its start and so many frames.
+        """Return the recipe of one simulation.
 
         Args:
-            solver: of the pressure.
-            frames: after the start.
-            frame_interval: s between frames.
-            solver_step: s; fixed.
+            solver: Pressure solver.
+            frames: Number of frames after the start.
+            frame_interval: Time between frames, s.
+            solver_step: Fixed time step, s.
 
         Raises:
-            UserError: the interval is no whole number of steps.
+            UserError: The interval is not a whole number of steps.
         """
         width, height, depth = (
             2 * RADIUS * layers / edge
@@ -96,14 +96,14 @@ class Dam:
         )
 
     def write_start(self, path: Path, frames: int, frame_interval: float) -> None:
-        """Writes a data file as the solver would, without one: the column at rest.
+        """Write a data file of the column at rest, without the solver; all frames are equal.
 
-        The walls are layers of particles a diameter apart; each frame is the start.
+        Wall particles are a diameter apart.
         """
         random = np.random.default_rng(0)
         axes = [CLEARANCE * RADIUS + RADIUS * (2 * np.arange(layers) + 1) for layers in self.layers]
         lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        # A tenth of a radius off the lattice: a particle has no two neighbors equally far.
+        # Random offsets of up to 0.1 radii, so that no two neighbors are equally far.
         lattice += random.uniform(-0.1, 0.1, lattice.shape) * RADIUS
         with h5py.File(path, "w") as file:
             self._header(frame_interval).write(file)
@@ -113,8 +113,7 @@ class Dam:
             position, velocity = create_frames(group, len(lattice))
             for data, values in ((position, lattice), (velocity, np.zeros_like(lattice))):
                 data.resize(frames + 1, axis=0)
-                for frame in range(frames + 1):
-                    data[frame] = values.astype(np.float32)
+                data[:] = values.astype(np.float32)
             group["time"] = frame_interval * np.arange(frames + 1)
             group["solver_seconds"] = np.zeros(frames + 1)
             group.create_dataset("solid_position", data=self._walls(), **COMPRESSION)
@@ -145,6 +144,6 @@ class Dam:
 
 
 def _around(ideal: float, most: float) -> range:
-    """Whole numbers about as large, none above the most."""
+    """Return the integers near an ideal number, up to a maximum."""
     middle, reach = round(ideal), max(2, round(0.08 * ideal))
     return range(max(1, middle - reach), max(1, min(middle + reach, int(most))) + 1)

@@ -1,4 +1,4 @@
-"""The machine a study runs on, and whether it is busy with something else."""
+"""Description and background load of the machine that a study runs on."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ import torch
 from datamodules.generate.solver import solver_version
 from fluidsnet.errors import UserError
 
-#: Cores' worth of other people's work above which a timing is not to be trusted.
+#: Load of other processes, in cores, above which a timing is not trusted.
 BUSY = 0.15
 
 _PACKAGES = ("torch", "torch-cluster", "torch-scatter", "numba", "numpy", "lightning")
 
 
 def cpu_model() -> str:
-    """The processor's name, and how many cores this process may use."""
+    """Return the name of the processor and the number of usable cores."""
     name = platform.processor() or platform.machine()
     if (info := Path("/proc/cpuinfo")).exists():
         found = re.search(r"^model name\s*: (.*)$", info.read_text(), re.MULTILINE)
@@ -32,45 +32,45 @@ def cpu_model() -> str:
 
 
 def cores() -> int:
-    """Cores this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def device_name(device: str) -> str:
-    """What a device is called."""
+    """Return the name of a device."""
     if torch.device(device).type == "cuda":
         return torch.cuda.get_device_name(torch.device(device))
     return device
 
 
 def versions() -> str:
-    """Python, and what decides how fast things are."""
-    found = [f"Python {platform.python_version()}"]
+    """Return the versions of Python, of the packages that affect speed, and of the solver."""
+    names = [f"Python {platform.python_version()}"]
     for package in _PACKAGES:
         try:
-            # That of the module says what torch was built for.
+            # The module's version includes the build, such as +cpu.
             version = torch.__version__ if package == "torch" else metadata.version(package)
         except metadata.PackageNotFoundError:
             version = "not installed"
-        found.append(f"{package} {version}")
+        names.append(f"{package} {version}")
     try:
-        found.append(f"SPlisHSPlasH {solver_version()}")
+        names.append(f"SPlisHSPlasH {solver_version()}")
     except UserError:
-        found.append("SPlisHSPlasH not installed")
-    return ", ".join(found)
+        names.append("SPlisHSPlasH not installed")
+    return ", ".join(names)
 
 
 @final
 class OtherLoad:
-    """Cores' worth of work that others do while a block runs, children of this process left out.
+    """Context manager that measures the load of other processes while its block runs.
 
-    Linux counts each core's time, and what a host takes from a virtual machine; elsewhere the
-    load average less the children's own threads has to do.
+    This process and its children do not count. On Linux the load includes the time that a host
+    takes from a virtual machine; elsewhere it is estimated from the load average.
 
     Attributes:
-        cores: after the block.
+        cores: Mean number of cores that other processes kept busy, set after the block.
     """
 
     def __init__(self) -> None:
@@ -90,7 +90,7 @@ class OtherLoad:
 
 
 def _all_seconds() -> float | None:
-    """S that all cores were busy since the start, with what a host took."""
+    """Return the busy time of all cores since boot, s, with the time that a host took."""
     try:
         line = Path("/proc/stat").read_text().splitlines()[0]
     except OSError:
@@ -101,6 +101,6 @@ def _all_seconds() -> float | None:
 
 
 def _own_seconds() -> float:
-    """S of cores that this process and its ended children took."""
-    spent = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in spent)
+    """Return the CPU time of this process and its ended children, s."""
+    usages = map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(usage.ru_utime + usage.ru_stime for usage in usages)

@@ -1,4 +1,4 @@
-"""The command line of a study."""
+"""Command-line parser of the studies."""
 
 from __future__ import annotations
 
@@ -10,24 +10,20 @@ from fluidsnet.errors import UserError
 
 
 class Parser(ArgumentParser):
-    """Says what is wrong in one sentence, and reads options from files, too."""
+    """Argument parser that raises `UserError` in place of exiting with the usage."""
 
     def error(self, message: str, ex: Exception | None = None) -> NoReturn:
-        """Ends the parsing.
-
-        Raises:
-            UserError: always.
-        """
+        """Raise a `UserError` with the message and a pointer to ``--help``."""
         raise UserError(f"{message}\nSee `{self.prog} --help`.") from ex
 
 
 def study_parser(command: str, description: str, options: type) -> Parser:
-    """Makes the parser of a command.
+    """Create the parser of a study's command; it reads options from ``--config`` files, too.
 
     Args:
-        command: its name.
-        description: what ``--help`` says first.
-        options: a dataclass; its attributes are the options.
+        command: Name of the command.
+        description: First paragraph of ``--help``.
+        options: Dataclass whose attributes are the options.
     """
     parser = Parser(prog=f"fluidsnet {command}", description=description)
     parser.add_argument("--config", action="config", help="a file with these options")

@@ -1,4 +1,4 @@
-"""The picture of an ablation: whose states, when, and what is not finite."""
+"""Tests of the picture of an ablation: states, times, non-finite particles."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from PIL import Image
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-import callbacks.ablation_picture
 from callbacks import Ablation, AblationPicture
 from datamodules import SPHDataModule
 from fluidsnet import FluidsNet
@@ -25,9 +24,12 @@ from fluidsnet.export import Panel
 from fluidsnet.features import NoGlobalFeature
 from fluidsnet.integrator import Integrator
 from fluidsnet.particles import Particles
+from fluidsnet.reporting import rollout_frames
 from fluidsnet.rollout import rollout
 from fluidsnet.target import AccelerationTarget, Motion
 
+#: Folder in the folder of a run for results on the sample.
+RESULTS = "results/dam_break"
 Pixels = NDArray[np.int16]
 Drawn = list[tuple[list[Panel], dict[str, Any]]]
 
@@ -64,7 +66,7 @@ def pixels(path: Path) -> Pixels:
 
 
 def crops(path: Path, rows: int, columns: int) -> list[list[Pixels]]:
-    """The panels of a picture, without their titles and the color bar."""
+    """Return the panels of a picture without titles and color bar."""
     picture = pixels(path)
     down, across = (picture.shape[0] - 24) // rows, (picture.shape[1] - 110) // columns
     return [
@@ -77,34 +79,35 @@ def crops(path: Path, rows: int, columns: int) -> list[list[Pixels]]:
 
 
 def fluid(crop: Pixels) -> int:
-    """How many pixels have a particle: more blue than any line or background."""
+    """Return the number of pixels of particles, which are bluer than lines and background."""
     return int((crop[..., 2] > 160).sum())
 
 
 @pytest.fixture
 def drawn(monkeypatch: pytest.MonkeyPatch) -> Drawn:
-    """What the renderer is given, picture after picture; it draws all the same."""
+    """Record the arguments of the renderer, which draws as usual."""
     found: Drawn = []
-    draw = callbacks.ablation_picture.side_by_side
+    draw = rollout_frames.side_by_side
 
     def record(path: Path, panels: list[Panel], *more: Any, **named: Any) -> None:
         found.append((panels, named))
         draw(path, panels, *more, **named)
 
-    monkeypatch.setattr(callbacks.ablation_picture, "side_by_side", record)
+    monkeypatch.setattr(rollout_frames, "side_by_side", record)
     return found
 
 
 class Breaks(Integrator):
-    """At a call, some or all of the particles are lost."""
+    """Integrator that sets a share of the particles to NaN in one of the network's steps."""
 
     def __init__(self, call: int, share: float) -> None:
         self.call, self.share, self.calls = call, share, 0
 
     def displacement(self, particles: Particles, motion: Motion) -> torch.Tensor:
-        self.calls += 1
+        # Motions of the network have no displacement; those of the integrator floor have one.
+        self.calls += motion.displacement is None
         moved = motion.velocity * 0.02
-        if self.calls == self.call:
+        if motion.displacement is None and self.calls == self.call:
             moved[: round(self.share * len(moved))] = torch.nan
         return moved
 
@@ -114,7 +117,7 @@ def test_truth_model_and_twin_are_drawn_at_each_time(
 ) -> None:
     model, source = made(sample)
     trainer(tmp_path, twin(), AblationPicture()).test(model, source, verbose=False)
-    path = tmp_path / "run" / "ablation.png"
+    path = tmp_path / "run" / RESULTS / "ablation.png"
     assert 50_000 < path.stat().st_size < 2e6
     assert pixels(path).shape[1] <= 2400
     ((panels, named),) = drawn
@@ -149,7 +152,7 @@ def test_the_picture_is_the_same_each_time_and_in_tensorboard(sample: Path, tmp_
     model, source = made(sample)
     runner = trainer(tmp_path, twin(), AblationPicture((0, 0.1)), max_epochs=1)
     runner.fit(model, source)
-    path = tmp_path / "run" / "ablation.png"
+    path = tmp_path / "run" / RESULTS / "ablation.png"
     assert not path.exists()
     runner.test(model, source, verbose=False)
     once = path.rename(tmp_path / "once.png").read_bytes()
@@ -170,7 +173,7 @@ def test_a_model_without_twins_is_drawn_with_the_truth(
     runner.test(model, source, verbose=False)
     ((panels, _),) = drawn
     assert [panel.title for panel in panels] == ["truth, 0.04 s", "model, 0.04 s"]
-    truth, mine = crops(tmp_path / "ablation.png", 2, 1)
+    truth, mine = crops(tmp_path / RESULTS / "ablation.png", 2, 1)
     assert min(fluid(truth[0]), fluid(mine[0])) > 2000
 
 
@@ -187,7 +190,7 @@ def test_what_is_not_finite_is_named_and_the_rest_is_drawn(
     gone = np.isnan(panels[6].position).any(axis=1)
     assert gone.sum() == round(share * len(gone))
     assert np.isfinite(panels[5].position).all()
-    truth, mine = crops(tmp_path / "run" / "ablation.png", 2, 4)
+    truth, mine = crops(tmp_path / "run" / RESULTS / "ablation.png", 2, 4)
     assert min(fluid(crop) for crop in (*truth, *mine[:2])) > 2000
     left = fluid(mine[2])
     assert left == 0 if share == 1 else 500 < left < fluid(mine[1])
@@ -196,7 +199,7 @@ def test_what_is_not_finite_is_named_and_the_rest_is_drawn(
 def test_a_velocity_that_is_not_finite_leaves_its_particle_out() -> None:
     position, velocity = torch.rand(4, 3), torch.ones(4, 3)
     velocity[1, 2], velocity[2, 0], velocity[3] = torch.inf, torch.nan, 1e30
-    panel = callbacks.ablation_picture._panel("a_b", 0.5, (position, velocity))
+    panel = rollout_frames.panel("a_b", 0.5, (position.numpy(), velocity.numpy()))
     assert panel.title == "a b, 0.50 s, not finite"
     assert np.isfinite(panel.position).all(axis=1).tolist() == [True, False, False, True]
     assert panel.speed[3] == pytest.approx(3**0.5 * 1e30)
@@ -208,7 +211,7 @@ def test_a_model_that_blows_up_leaves_the_others_colors(sample: Path, tmp_path: 
         model, source = made(sample)
         runner = trainer(tmp_path / name, *more, AblationPicture((0, 0.25, 0.5)))
         runner.test(model, source, verbose=False)
-        rows = crops(tmp_path / name / "run" / "ablation.png", 2 + len(more), 3)
+        rows = crops(tmp_path / name / "run" / RESULTS / "ablation.png", 2 + len(more), 3)
         found.append([crop for row in rows[:2] for crop in row])
     # Each picture has 256 colors of its own, which differ in single pixels, not on average.
     off = [abs((one - two).mean()) for one, two in zip(*found, strict=True)]
@@ -227,14 +230,14 @@ def test_the_first_of_two_draws_in_the_first_process(
     first.on_test_epoch_end(runner, model)
     assert len(drawn) == 2
     monkeypatch.setattr(Trainer, "is_global_zero", False)
-    monkeypatch.setattr(callbacks.ablation_picture, "rollout", None)
+    monkeypatch.setattr(rollout_frames, "rollout", None)
     first.on_test_epoch_end(runner, model)
     assert len(drawn) == 2
 
 
 @pytest.mark.parametrize("times", [(), (-0.1,), (0.5, 1.5), (float("nan"),)])
 def test_times_that_cannot_be_used(times: tuple[float, ...]) -> None:
-    words = "they are shares of the truth's length, from 0 to 1, and there must be one."
+    words = "give at least one share of the truth's length, from 0 to 1."
     with pytest.raises(UserError) as raised:
         AblationPicture(times)
     assert str(raised.value) == f"AblationPicture: times is {list(times)}; {words}"
@@ -243,7 +246,7 @@ def test_times_that_cannot_be_used(times: tuple[float, ...]) -> None:
 def test_another_module_or_other_data_are_refused(sample: Path, tmp_path: Path) -> None:
     picture = AblationPicture()
     runner = trainer(tmp_path, picture)
-    with pytest.raises(UserError, match="draws rollouts of FluidsNet alone"):
+    with pytest.raises(UserError, match="AblationPicture needs the model FluidsNet"):
         picture.setup(runner, LightningModule(), "test")
     with pytest.raises(UserError, match="a data module with rollout_starts"):
         picture.setup(runner, made(sample)[0], "test")

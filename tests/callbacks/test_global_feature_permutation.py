@@ -9,7 +9,7 @@ import torch
 from lightning import Trainer
 
 from callbacks import GlobalFeaturePermutation
-from callbacks.global_feature_permutation import _others
+from callbacks.global_feature_permutation import _derangement
 from datamodules import SPHDataModule
 from fluidsnet import FluidsNet
 from fluidsnet.features import NoGlobalFeature
@@ -55,7 +55,7 @@ def test_the_ratio_says_whether_the_vector_is_used(
         found["test/model/skill"], rel=1e-4
     )
     assert (ratio == pytest.approx(1.0, abs=1e-6)) == (not used)
-    with (tmp_path / "global_feature_permutation.csv").open() as file:
+    with (tmp_path / "results/dam_break" / "global_feature_permutation.csv").open() as file:
         rows = list(csv.reader(file))
     assert [row[0] for row in rows[1:]] == ["the frame itself", "another frame"]
     assert float(rows[2][3]) == pytest.approx(ratio)
@@ -63,10 +63,10 @@ def test_the_ratio_says_whether_the_vector_is_used(
 
 @pytest.mark.parametrize("frames", [2, 3, 100])
 def test_each_frame_gets_anothers_and_gives_its_own_once(frames: int) -> None:
-    others = _others(frames)
+    others = _derangement(frames)
     assert sorted(others) == list(range(frames))
     assert all(row != other for row, other in enumerate(others))
-    assert others == _others(frames)
+    assert others == _derangement(frames)
 
 
 def test_the_foreign_vector_is_that_of_the_other_frame(
@@ -80,10 +80,10 @@ def test_the_foreign_vector_is_that_of_the_other_frame(
     errors = []
     with torch.no_grad():
         for row in range(4):
-            own, other = dataset[row], dataset[_others(4)[row]]
+            own, other = dataset[row], dataset[_derangement(4)[row]]
             network = model.model.network
             vector = network.global_feature(other.state, network.features(other.state))[:1]
-            state = model(own.state, vector.expand(len(own.state), -1))
+            state = model.model.step(own.state, vector.expand(len(own.state), -1))
             errors.append((state.velocity - own.next_velocity[0]).double().square().mean())
     expected = float(torch.stack(errors).mean())
     assert found["global_feature_permutation/velocity_mse/foreign"] == pytest.approx(
@@ -99,5 +99,5 @@ def test_where_there_is_no_vector_it_says_so(
             FluidsNet(source.grid_shape, global_feature=NoGlobalFeature), source, tmp_path
         )
     assert not [name for name in found if name.startswith("foreign")]
-    assert "NoGlobalFeature is not one vector a frame" in caplog.text
-    assert not (tmp_path / "global_feature_permutation.csv").exists()
+    assert "NoGlobalFeature is not one vector per frame" in caplog.text
+    assert not (tmp_path / "results/dam_break" / "global_feature_permutation.csv").exists()

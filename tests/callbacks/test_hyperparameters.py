@@ -1,4 +1,4 @@
-"""A training that was broken off and goes on, as TensorBoard's tab HParams has it."""
+"""Tests of hyperparameters in TensorBoard when a training is interrupted and resumed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fluidsnet.features import NoGlobalFeature
 
 
 class Breaks(Callback):
-    """Ends a training in its first validation."""
+    """Raise an error in the first validation."""
 
     def on_validation_epoch_end(self, *_: Any) -> None:
         raise RuntimeError("the lights went out")

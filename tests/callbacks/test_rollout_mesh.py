@@ -1,4 +1,4 @@
-"""Rollouts in 3-D: which particles are shown."""
+"""Tests of rollouts in TensorBoard's tab Mesh."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.util.tensor_util import make_ndarray
 
-from callbacks import RolloutMesh, TrajectoryWriter
+from callbacks import RolloutMesh
 from datamodules import SPHDataModule
 from fluidsnet import FluidsNet
 from fluidsnet.errors import UserError
@@ -27,7 +27,7 @@ TAG = "rollout_3d/truth_and_prediction"
 
 
 class LosesTwo(Integrator):
-    """Moves nothing, but one particle far away and one nowhere."""
+    """Integrator that moves one particle far away and one to NaN."""
 
     def displacement(self, particles: Particles, motion: Motion) -> torch.Tensor:
         moved = torch.zeros_like(particles.position)
@@ -36,14 +36,14 @@ class LosesTwo(Integrator):
 
 
 class Stays(Integrator):
-    """Moves nothing."""
+    """Integrator that moves nothing."""
 
     def displacement(self, particles: Particles, motion: Motion) -> torch.Tensor:
         return torch.zeros_like(particles.position)
 
 
 class Fast(Target):
-    """A kilometer a second, whatever the network says."""
+    """Target with a constant velocity of 1 km/s."""
 
     width = 3
 
@@ -69,7 +69,7 @@ def rolled_out(sample: Path, folder: Path, mesh: RolloutMesh, **blocks: Any) -> 
         logger=TensorBoardLogger(folder, name="run", version=""),
         enable_progress_bar=False,
         enable_model_summary=False,
-        callbacks=[TrajectoryWriter(), mesh],
+        callbacks=[mesh],
     ).predict(model, source)
     return EventAccumulator(str(folder / "run"), size_guidance={"tensors": 0}).Reload()
 
@@ -112,7 +112,7 @@ def test_what_is_far_away_or_not_finite_is_left_out_and_counted(
 
 
 def test_the_scale_of_color_is_the_truths(sample: Path, tmp_path: Path) -> None:
-    """A prediction that is far too fast does not turn the truth dark."""
+    """A prediction that is far too fast leaves the colors of the truth."""
     paints = []
     for target in (VelocityTarget(), Fast()):
         folder = tmp_path / type(target).__name__

@@ -1,4 +1,4 @@
-"""Rollouts in validation and test: when, from where, and what is left behind."""
+"""Tests of rollout metrics in validation and test."""
 
 from __future__ import annotations
 
@@ -26,6 +26,9 @@ from fluidsnet.integrator import Integrator
 from fluidsnet.particles import Particles
 from fluidsnet.rollout import rollout
 from fluidsnet.target import AccelerationTarget, Motion
+
+#: Folder in the folder of a run for results on the sample.
+RESULTS = "results/dam_break"
 
 
 def data(sample: Path) -> SPHDataModule:
@@ -63,7 +66,7 @@ def trained(source: SPHDataModule, **changes: Any) -> FluidsNet:
 
 
 class BlowsUp(Integrator):
-    """Breaks in the third of the network's steps, and leaves the truth's alone."""
+    """Integrator that gives NaN in the third of the network's steps."""
 
     def __init__(self) -> None:
         self.calls = 0
@@ -119,7 +122,7 @@ def test_the_test_leaves_a_table_a_figure_and_scalars(sample: Path, tmp_path: Pa
     model = trained(source)
     runner = trainer(tmp_path, RolloutMetrics(steps=12, starts=[0, 0.75], costly_steps=[5]))
     runner.test(model, source, verbose=False)
-    with (tmp_path / "run" / "rollout_metrics.csv").open() as file:
+    with (tmp_path / "run" / RESULTS / "rollout_metrics.csv").open() as file:
         table = {(row["predictor"], row["steps"]): row for row in csv.DictReader(file)}
     with h5py.File(sample / "test.h5") as file_:
         position = file_["00000/position"][()].astype(np.float64)
@@ -154,7 +157,7 @@ def test_the_test_leaves_a_table_a_figure_and_scalars(sample: Path, tmp_path: Pa
     assert table["model", "1"]["chamfer mm"] == table["truth", "5"]["chamfer mm"] == ""
     assert float(table["model", "5"]["chamfer mm"]) > 0
     assert float(table["truth", "12"]["density_error 99.9th %"]) < 5
-    assert (tmp_path / "run" / "rollout_metrics.png").stat().st_size > 10_000
+    assert (tmp_path / "run" / RESULTS / "rollout_metrics.png").stat().st_size > 10_000
     logged = scalars(tmp_path)
     assert {"test_rollout/position_error_mm", "test_rollout/kinetic_energy_j_per_kg"} <= set(
         logged.Tags()["images"]
@@ -172,8 +175,8 @@ def test_a_rollout_that_blows_up_is_infinite_and_named(
     trainer(tmp_path, RolloutMetrics(steps=3)).test(model, source, verbose=False)
     sentence = "The model's rollout of /00000 from frame 0 is not finite from step 2 on."
     assert sentence in capsys.readouterr().out
-    assert sentence in (tmp_path / "run" / "rollout_metrics.md").read_text()
-    with (tmp_path / "run" / "rollout_metrics.csv").open() as file:
+    assert sentence in (tmp_path / "run" / RESULTS / "rollout_metrics.md").read_text()
+    with (tmp_path / "run" / RESULTS / "rollout_metrics.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["predictor"] == "model"]
     assert [row["non-finite %"] for row in rows] == ["0.0", "100.0", "100.0"]
     assert [row["position_error mm"] == "inf" for row in rows] == [False, True, True]
@@ -186,12 +189,13 @@ def test_a_rollout_that_blows_up_is_infinite_and_named(
         ({"steps": 0}, "steps is 0"),
         ({"simulations": 0}, "simulations is 0"),
         ({"every_n_validations": -1}, "every_n_validations is -1"),
-        ({"starts": []}, "there must be one"),
+        ({"starts": []}, "give at least one"),
         ({"starts": [1.0]}, r"starts is \[1.0\]"),
         ({"starts": [-1]}, r"starts is \[-1\]"),
         ({"costly_steps": [0]}, r"costly_steps is \[0\]"),
-        ({"name": "In motion"}, "the name 'In motion'"),
-        ({"name": "predictors"}, "the name 'predictors' is taken"),
+        ({"name": "In motion"}, "name is 'In motion'; it is taken or has"),
+        ({"name": "predictors"}, "name is 'predictors'; it is taken"),
+        ({"name": "predict"}, "name is 'predict'; it is taken"),
     ],
 )
 def test_arguments_that_cannot_be_used(arguments: dict[str, Any], words: str) -> None:
@@ -200,7 +204,7 @@ def test_arguments_that_cannot_be_used(arguments: dict[str, Any], words: str) ->
 
 
 def test_those_with_a_name_measure_apart(sample: Path, tmp_path: Path) -> None:
-    """From rest and in motion, each as it would be alone."""
+    """Each callback gives the results that it gives alone."""
     source = data(sample)
     changes: dict[str, Any] = {"steps": 3, "every_n_validations": 2}
     both = (RolloutMetrics(**changes), RolloutMetrics(starts=[0.5], name="late", **changes))
@@ -221,10 +225,10 @@ def test_those_with_a_name_measure_apart(sample: Path, tmp_path: Path) -> None:
     runner.test(model, source, verbose=False)
     run, alone = tmp_path / "run", tmp_path / "alone"
     trainer(alone, RolloutMetrics(starts=[0.5], **changes)).test(model, source, verbose=False)
-    late = (run / "rollout_metrics_late.csv").read_text()
-    assert late == (alone / "run" / "rollout_metrics.csv").read_text()
-    assert late != (run / "rollout_metrics.csv").read_text()
-    assert (run / "rollout_metrics_late.png").exists()
+    late = (run / RESULTS / "rollout_metrics_late.csv").read_text()
+    assert late == (alone / "run" / RESULTS / "rollout_metrics.csv").read_text()
+    assert late != (run / RESULTS / "rollout_metrics.csv").read_text()
+    assert (run / RESULTS / "rollout_metrics_late.png").exists()
     newest = max(run.glob("events.out*"), key=lambda path: path.stat().st_mtime_ns)
     tags = EventAccumulator(str(newest)).Reload().Tags()
     assert {"test_rollout/position_error_mm/1", "test_rollout_late/position_error_mm/1"} <= set(
@@ -252,7 +256,7 @@ def test_what_is_logged_beside_stands_at_the_same_steps(sample: Path, tmp_path: 
 
 
 def test_another_module_or_other_data_are_refused(sample: Path, tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="rollouts of FluidsNet alone"):
+    with pytest.raises(UserError, match="RolloutMetrics needs the model FluidsNet"):
         RolloutMetrics().setup(trainer(tmp_path), LightningModule(), "test")
     with pytest.raises(UserError, match="a data module with rollout_starts"):
         RolloutMetrics().setup(trainer(tmp_path), trained(data(sample)), "test")
@@ -266,7 +270,7 @@ def test_none_is_measured_where_none_is_asked_for(sample: Path, tmp_path: Path) 
 
 
 def test_models_side_by_side_are_rolled_out_each(sample: Path, tmp_path: Path) -> None:
-    """Each is measured as it would be alone, and logged beside the others."""
+    """Each model gives the results that it gives alone."""
     source = data(sample)
     callbacks = (
         Ablation("target", AccelerationTarget(), "acceleration"),
@@ -291,7 +295,7 @@ def test_models_side_by_side_are_rolled_out_each(sample: Path, tmp_path: Path) -
             twin = last(f"ablation_{group}/{figure}/acceleration")
             assert np.isfinite(twin)
             assert twin != mine
-    with (tmp_path / "run" / "rollout_metrics.csv").open() as file:
+    with (tmp_path / "run" / RESULTS / "rollout_metrics.csv").open() as file:
         table = {(row["predictor"], row["steps"]): row for row in csv.DictReader(file)}
     start = source.rollout_starts("test", [0], 5, 1)[0]
     for name, of in model.named_models().items():

@@ -1,4 +1,4 @@
-"""The picture of a rollout beside its truth."""
+"""Test of the arguments of RolloutPicture; test_predict_results.py has the pictures."""
 
 from __future__ import annotations
 
@@ -10,5 +10,5 @@ from fluidsnet.errors import UserError
 
 @pytest.mark.parametrize("times", [[], [-0.1], [0.5, 1.1]])
 def test_times_that_are_no_shares_are_refused(times: list[float]) -> None:
-    with pytest.raises(UserError, match="shares from 0 to 1, and there must be one"):
+    with pytest.raises(UserError, match="give at least one share of the rollout's length"):
         RolloutPicture(times)

@@ -1,4 +1,4 @@
-"""The speed of training: what is counted, and that measuring changes nothing."""
+"""Tests of the measured speed of training."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from fluidsnet.particles import Transitions
 
 
 class Slow(Callback):
-    """Takes its time: 50 ms a batch, and as told for a validation; counts a batch's particles."""
+    """Sleep 50 ms per batch and some seconds per validation; count the particles of each batch."""
 
     def __init__(self, validation: float = 0.0) -> None:
         self.validation = validation
@@ -39,7 +39,7 @@ class Slow(Callback):
 
 
 def fit(sample: Path, folder: Path, *callbacks: Callback, **changes: Any) -> dict[str, Tensor]:
-    """Weights after eight batches, with two validations on the way."""
+    """Return the weights after eight batches and two validations."""
     torch.manual_seed(0)
     source = SPHDataModule(sample, voxel_size=0.25, batch_size=1, sample_every=6, steps=2)
     model = FluidsNet(source.grid_shape, global_feature=NoGlobalFeature)
@@ -107,5 +107,5 @@ def test_a_step_may_be_several_batches(sample: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("callback", [SpeedMonitor, HyperParameters, LossChart])
 def test_another_module_is_refused(callback: type[Callback]) -> None:
-    with pytest.raises(UserError, match="of FluidsNet alone"):
+    with pytest.raises(UserError, match="needs the model FluidsNet"):
         callback().setup(Trainer(logger=False), LightningModule(), "fit")

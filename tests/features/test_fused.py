@@ -12,15 +12,17 @@ from torch_scatter import scatter
 from datamodules.reader import FrameReader
 from fluidsnet.features import (
     GlobalVector,
-    InputFeature,
     KernelMessages,
     NeighborMean,
+    ParticleState,
     VoxelFeature,
 )
-from fluidsnet.features.dense import squash
+from fluidsnet.features.fused_local import fused_local
 from fluidsnet.features.perceptron import Perceptron
 from fluidsnet.features.voxel import occupied_voxels
-from fluidsnet.integrator import Euler
+from fluidsnet.kernels import disabled
+from fluidsnet.kernels.columns import apply_tanh
+from fluidsnet.model import Model
 from fluidsnet.neighbors import Auto, BruteForce, CellListCPU, NeighborSearch
 from fluidsnet.network import Network
 from fluidsnet.particles import Particles
@@ -114,13 +116,13 @@ def _both(
 ) -> tuple[Tensor, Tensor]:
     """The feature without edges, and with them."""
     torch.manual_seed(0)
-    inputs, local = InputFeature(), NeighborMean(hidden, width)
+    inputs, local = ParticleState(), NeighborMean(hidden, width)
     inputs.velocity_deviation.fill_(0.7)
     for weight in local.parameters():
         # Large enough that a tanh bends.
         nn.init.normal_(weight, std=0.7)
     with torch.no_grad():
-        found = local.without_edges(particles, search, inputs)
+        found = fused_local(particles, search, local, inputs)
         assert found is not None
         return found, local(particles, search(particles), inputs)
 
@@ -169,17 +171,21 @@ def test_a_velocity_that_is_none_is_not_hidden() -> None:
 
 
 def test_where_there_is_no_such_way() -> None:
-    particles, inputs = _frames((50, 0)), InputFeature()
+    particles, inputs = _frames((50, 0)), ParticleState()
     with torch.no_grad():
-        assert NeighborMean().without_edges(particles, BruteForce(), inputs) is None
-        assert KernelMessages().without_edges(particles, Auto(), inputs) is None
-    assert NeighborMean().without_edges(particles, Auto(), inputs) is None
+        assert fused_local(particles, BruteForce(), NeighborMean(), inputs) is None
+        assert fused_local(particles, Auto(), KernelMessages(), inputs) is None
+        with disabled():
+            assert fused_local(particles, Auto(), NeighborMean(), inputs) is None
+    assert fused_local(particles, Auto(), NeighborMean(), inputs) is None
 
 
 @pytest.mark.parametrize("case", [case for case in CASES if case != "far apart"])
 def test_the_network_is_the_same_with_and_without_gradients(case: str) -> None:
     torch.manual_seed(0)
-    network = Network((6, 4, 6), Auto(), NeighborMean(), GlobalVector, VelocityTarget()).eval()
+    network = Network(
+        (6, 4, 6), Auto(), ParticleState(), NeighborMean(), GlobalVector, VelocityTarget()
+    ).eval()
     particles = CASES[case]()
     expected = network(particles)
     for context in (torch.no_grad, torch.inference_mode):
@@ -193,10 +199,10 @@ def test_tanh() -> None:
         [np.linspace(-12, 12, 1_000_001), [1e-30, -1e-7, 1e30, np.inf, -np.inf]]
     ).astype(np.float32)
     found = values.copy()
-    squash(found)
+    apply_tanh(found)
     assert np.abs(found - np.tanh(values.astype(np.float64))).max() < 5e-7
     nothing = np.full(40, np.nan, np.float32)
-    squash(nothing)
+    apply_tanh(nothing)
     assert np.isnan(nothing).all()
 
 
@@ -263,8 +269,8 @@ def test_the_voxel_feature_has_the_gradients_of_the_plain_one(make_particles: Ma
 
 def test_a_rollout_holds_its_memory_constant() -> None:
     torch.manual_seed(0)
-    network = Network((6, 4, 6), Auto(), NeighborMean(), GlobalVector, AccelerationTarget())
-    states = rollout(network.eval(), Euler(), StopAtWalls(), _frames((3000, 1000)), 220)
+    model = Model((6, 4, 6), target=AccelerationTarget(), walls=StopAtWalls()).eval()
+    states = rollout(model, _frames((3000, 1000)), 220)
     held = []
     for step, _ in enumerate(states):
         if step >= 20:

@@ -7,7 +7,7 @@ import torch
 from torch import nn
 
 from fluidsnet.features import GlobalVector, NoGlobalFeature, VoxelFeature, VoxelField
-from fluidsnet.features.global_feature import kernels
+from fluidsnet.features.global_feature import kernel_shapes
 from fluidsnet.features.voxel import occupied_voxels
 from fluidsnet.particles import Particles
 
@@ -24,7 +24,7 @@ Make = Callable[..., Particles]
 def test_the_stacks_are_those_of_table_1(
     cells: tuple[int, int, int], stack: list[tuple[int, int, int]]
 ) -> None:
-    assert kernels(cells) == stack
+    assert kernel_shapes(cells) == stack
 
 
 @pytest.mark.parametrize(
@@ -32,7 +32,7 @@ def test_the_stacks_are_those_of_table_1(
 )
 def test_every_stack_ends_in_one_cell(cells: tuple[int, int, int]) -> None:
     left = list(cells)
-    for kernel in kernels(cells):
+    for kernel in kernel_shapes(cells):
         assert set(kernel) <= {1, 2, 3}
         left = [-(-count // stride) for count, stride in zip(left, kernel, strict=True)]
     assert left == [1, 1, 1]

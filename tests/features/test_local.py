@@ -2,12 +2,31 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import final
 
+import pytest
 import torch
+from torch import Tensor
 
-from fluidsnet.features import InputFeature, KernelMessages, NeighborMean
-from fluidsnet.neighbors import BruteForce
-from fluidsnet.particles import Particles
+import fluidsnet.features
+from fluidsnet.errors import UserError
+from fluidsnet.features import (
+    GlobalFeature,
+    GlobalVector,
+    InputFeature,
+    KernelMessages,
+    LocalFeature,
+    NeighborMean,
+    NoGlobalFeature,
+    ParticleState,
+)
+from fluidsnet.kernels import disabled
+from fluidsnet.model import Model
+from fluidsnet.neighbors import Auto, BruteForce
+from fluidsnet.network import Network
+from fluidsnet.particles import Particles, Transitions
+from fluidsnet.statistics import Statistics
+from fluidsnet.target import VelocityTarget
 
 Make = Callable[..., Particles]
 
@@ -16,7 +35,7 @@ def test_neighbor_mean_against_a_loop(make_particles: Make) -> None:
     torch.manual_seed(0)
     particles = make_particles((120, 50), (60, 30))
     device = particles.position.device
-    inputs, local = InputFeature().to(device), NeighborMean().to(device)
+    inputs, local = ParticleState().to(device), NeighborMean().to(device)
     inputs.velocity_deviation.fill_(0.5)
     found = local(particles, BruteForce()(particles), inputs)
     everyone = torch.cat([particles.position, particles.solid_position])
@@ -46,7 +65,7 @@ def test_neighbor_mean_against_a_loop(make_particles: Make) -> None:
 def test_a_particle_without_neighbors_gets_zeros(make_particles: Make) -> None:
     particles = make_particles((1, 0))
     local = NeighborMean().to(particles.position.device)
-    found = local(particles, BruteForce()(particles), InputFeature())
+    found = local(particles, BruteForce()(particles), ParticleState())
     assert torch.equal(found, torch.zeros_like(found))
 
 
@@ -54,7 +73,7 @@ def test_messages_fade_before_a_neighbor_is_lost(make_particles: Make) -> None:
     torch.manual_seed(0)
     particles = make_particles((2, 0))
     device = particles.position.device
-    inputs, messages = InputFeature().to(device), KernelMessages().to(device)
+    inputs, messages = ParticleState().to(device), KernelMessages().to(device)
 
     def feature(distance: float) -> torch.Tensor:
         position = torch.tensor([[0.5, 0.5, 0.5], [0.5 + distance, 0.5, 0.5]], device=device)
@@ -70,7 +89,7 @@ def test_messages_tell_a_dense_neighborhood_from_a_thin_one(make_particles: Make
     torch.manual_seed(0)
     particles = make_particles((3, 0))
     device = particles.position.device
-    inputs, messages = InputFeature().to(device), KernelMessages(rounds=1).to(device)
+    inputs, messages = ParticleState().to(device), KernelMessages(rounds=1).to(device)
     mean = NeighborMean().to(device)
     thin = particles.moved(
         torch.tensor([[0.5, 0.5, 0.5], [0.6, 0.5, 0.5], [1.4, 0.5, 0.5]], device=device),
@@ -91,7 +110,7 @@ def test_inputs_are_normalized_by_the_scene(make_particles: Make) -> None:
     particles = make_particles((2, 0))
     device = particles.position.device
     corners = torch.stack([particles.scene.domain_lower, particles.scene.domain_upper])
-    inputs = InputFeature().to(device)
+    inputs = ParticleState().to(device)
     inputs.velocity_deviation.fill_(4.0)
     found = inputs(particles.moved(corners, torch.full((2, 3), 2.0, device=device)))
     expected = [[-1.0] * 3 + [0.5] * 3 + [0.0], [1.0] * 3 + [0.5] * 3 + [0.0]]
@@ -102,7 +121,7 @@ def test_the_compiled_gradients_are_torchs(make_particles: Make, device: torch.d
     # More than a chunk of particles, some of them alone.
     particles = make_particles((700, 200), (30, 0), (1, 0))
     neighbors = BruteForce(k=7)(particles)
-    inputs, local = InputFeature().to(device), NeighborMean(hidden=5, width=6).to(device)
+    inputs, local = ParticleState().to(device), NeighborMean(hidden=5, width=6).to(device)
     weight = torch.randn(len(particles), 6, device=device)
     found = local(particles, neighbors, inputs)
     (found * weight).sum().backward()
@@ -116,3 +135,85 @@ def test_the_compiled_gradients_are_torchs(make_particles: Make, device: torch.d
     assert torch.allclose(found, expected, atol=2e-6)
     for parameter, gradient in zip(local.parameters(), gradients, strict=True):
         assert torch.allclose(gradient, parameter.grad, rtol=1e-4, atol=1e-4)
+
+
+def test_kernels_can_be_disabled(make_particles: Make) -> None:
+    torch.manual_seed(0)
+    particles = make_particles((300, 100))
+    model = Model((6, 4, 6), neighbors=BruteForce()).to(particles.position.device).eval()
+    with torch.no_grad():
+        found = model.step(particles)
+        with disabled():
+            expected = model.step(particles)
+    with torch.enable_grad():
+        # Positions that need a gradient have no kernel.
+        position = particles.position.clone().requires_grad_()
+        plain = model.step(particles.moved(position, particles.velocity))
+    assert torch.equal(expected.velocity, plain.velocity)
+    assert torch.allclose(found.velocity, expected.velocity, atol=1e-5)
+
+
+@final
+class SpeedAndHeight(InputFeature):
+    """Other columns than the default: height, speed; a neighbor sends velocity and height."""
+
+    width = 2
+    sent_width = 5
+    relative_width = 4
+
+    def set_statistics(self, statistics: Statistics) -> None:
+        pass
+
+    def forward(self, particles: Particles) -> Tensor:
+        height, velocity = particles.position[:, 1:2], particles.velocity
+        return torch.cat([height, velocity.norm(dim=1, keepdim=True)], dim=1)
+
+    def sent(self, particles: Particles) -> Tensor:
+        position = torch.cat([particles.position, particles.solid_position])
+        velocity = torch.cat([particles.velocity, particles.solid_velocity])
+        speed = velocity.norm(dim=1, keepdim=True)
+        return torch.cat([velocity, speed, position[:, 1:2]], dim=1)
+
+
+LOCAL_FEATURES: dict[str, Callable[[], LocalFeature]] = {
+    "mean": lambda: NeighborMean(sent_width=5),
+    "messages": lambda: KernelMessages(sent_width=5, relative_width=4),
+}
+
+
+@pytest.mark.parametrize("name", LOCAL_FEATURES)
+def test_an_input_feature_of_other_columns_trains(name: str, make_particles: Make) -> None:
+    torch.manual_seed(0)
+    state, later = make_particles((300, 100)), make_particles((300, 100), seed=1)
+    model = Model((6, 4, 6), inputs=SpeedAndHeight(), local=LOCAL_FEATURES[name]())
+    model.to(state.position.device)
+    batch = Transitions(
+        state, later.position[None], later.velocity[None], torch.zeros(1, dtype=torch.int64)
+    )
+    optimizer = torch.optim.Adam(model.parameters(), lr=0.01)
+    losses = []
+    for _ in range(5):
+        optimizer.zero_grad()
+        loss = model.loss(batch)
+        loss.backward()
+        optimizer.step()
+        losses.append(loss.item())
+    assert all(weight.grad.abs().sum() > 0 for weight in model.network.local.parameters())
+    assert losses[-1] < losses[0]
+    model.eval()
+    expected = model.step(state)
+    with torch.no_grad():
+        assert torch.allclose(model.step(state).velocity, expected.velocity, atol=1e-5)
+
+
+@pytest.mark.parametrize("local", [NeighborMean(), KernelMessages(sent_width=5)])
+def test_columns_must_agree(local: LocalFeature) -> None:
+    with pytest.raises(UserError, match=r"set local\.init_args\.(sent|relative)_width to (5|4)"):
+        Network((6, 4, 6), Auto(), SpeedAndHeight(), local, GlobalVector, VelocityTarget())
+
+
+def test_earlier_names_still_import() -> None:
+    for earlier, now in (("NoContext", NoGlobalFeature), ("Context", GlobalFeature)):
+        with pytest.warns(DeprecationWarning, match=f"use fluidsnet.features.{now.__name__}"):
+            assert getattr(fluidsnet.features, earlier) is now
+    assert not hasattr(fluidsnet.features, "NoVector")

@@ -5,15 +5,14 @@ from collections.abc import Callable
 import pytest
 import torch
 
-from fluidsnet.integrator import Displacement, Euler
-from fluidsnet.metrics import PositionError, RolloutErrors, Skill, VelocityMSE
+from fluidsnet.metrics import PositionError, Skill, VelocityMSE
 from fluidsnet.particles import Particles
 
 Make = Callable[..., Particles]
 
 
 def _numbers(particles: Particles, *numbers: int) -> torch.Tensor:
-    """Which simulation each frame is of; all of one by default."""
+    """Return the number of the simulation of each frame; all of one by default."""
     return torch.tensor(numbers or (0,) * particles.frames, device=particles.position.device)
 
 
@@ -91,43 +90,3 @@ def test_what_is_not_finite_makes_the_metric_infinite(make_particles: Make, valu
     skill.update(broken, particles.velocity + 1, particles, _numbers(particles))
     assert float(mse.compute()) == torch.inf
     assert float(skill.compute()) == -torch.inf
-
-
-def test_rollout_errors_by_hand(make_particles: Make) -> None:
-    start = make_particles((2, 0))
-    device = start.position.device
-    still = start.moved(torch.full((2, 3), 0.5, device=device), torch.zeros(2, 3, device=device))
-    along = torch.tensor([1.0, 0.0, 0.0], device=device)
-    for integrator, floors in ((Euler(), (10.0, 20.0)), (Displacement(), (0.0, 0.0))):
-        errors = RolloutErrors(still, integrator)
-        for step, floor in zip((1, 2), floors, strict=True):
-            # The truth accelerates from rest: x = t²/2 · 50 m/s², v = t · 50 m/s².
-            time = 0.02 * step
-            position = still.position + 25 * time**2 * along
-            velocity = (50 * time * along).expand(2, 3)
-            escapes = still.position + torch.tensor([[0.0, 0, 0], [0, 0, 2.0]], device=device)
-            found = errors.update(step, still.moved(escapes, velocity), position, velocity)
-            named = dict(zip(RolloutErrors.names, found.tolist(), strict=True))
-            moved = 25_000 * time**2
-            assert named["constant_velocity_mm"] == pytest.approx(moved, rel=1e-4)
-            fallen = 1000 * 9.81 * time**2 / 2
-            assert named["ballistic_mm"] == pytest.approx((moved**2 + fallen**2) ** 0.5, rel=1e-4)
-            # Euler goes Δt·v' where the truth goes Δt·(v + v')/2: 10 mm a step further.
-            assert named["integrator_floor_mm"] == pytest.approx(floor, abs=1e-3)
-            far = (2000**2 + moved**2) ** 0.5
-            assert named["position_error_mm"] == pytest.approx((moved + far) / 2, rel=1e-4)
-            assert named["escaped"] == 0.5
-
-
-@pytest.mark.parametrize("value", [torch.nan, torch.inf, -torch.inf])
-def test_a_particle_that_is_nowhere_has_escaped_and_is_infinitely_wrong(
-    make_particles: Make, value: float
-) -> None:
-    start = make_particles((4, 0))
-    broken = start.position.clone()
-    broken[0, 0] = value
-    errors = RolloutErrors(start, Euler())
-    found = errors.update(1, start.moved(broken, start.velocity), start.position, start.velocity)
-    named = dict(zip(RolloutErrors.names, found.tolist(), strict=True))
-    assert named["position_error_mm"] == torch.inf
-    assert named["escaped"] == 0.25

@@ -1,4 +1,4 @@
-"""The metrics of rollouts: each against a case by hand and, where there is one, a known package."""
+"""Tests of rollout metrics against cases by hand and against SciPy and POT."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from datamodules import SPHDataModule
+from fluidsnet.baselines import Baselines
 from fluidsnet.integrator import Displacement, Euler
 from fluidsnet.metrics import (
-    Baselines,
     CenterOfMass,
     Chamfer,
     Density,
@@ -33,7 +33,7 @@ from fluidsnet.metrics import (
     Sinkhorn,
 )
 from fluidsnet.metrics.density import cubic_spline
-from fluidsnet.metrics.sinkhorn import SAMPLE, sinkhorn_divergence
+from fluidsnet.metrics.point_clouds import SAMPLE, sinkhorn_divergence
 from fluidsnet.neighbors import BruteForce
 from fluidsnet.particles import Particles
 from fluidsnet.scene import Scene
@@ -48,7 +48,7 @@ METRICS: tuple[type[RolloutMetric], ...] = (
 def measured(
     kind: type[RolloutMetric], start: Particles, *states: tuple[Particles, Particles]
 ) -> list[list[float]]:
-    """What a metric says after each step, of predicted and true states."""
+    """Return the results of a metric after each step, for pairs of predicted and true states."""
     metric = kind([0], len(states)).to(start.position.device)
     for step, (predicted, true) in enumerate(states, start=1):
         metric.update(0, step, predicted, true, start)
@@ -131,6 +131,7 @@ def test_escaped_and_non_finite_by_hand(make_particles: Make) -> None:
         for step in range(steps):
             metric.update(rollout, step + 1, *states[step], start)
     found = metric.compute()
+    assert found["simulations"].tolist() == [2, 1, 1]
     assert found["non_finite_step"].tolist() == [2, torch.inf]
     assert found["non_finite"].tolist() == [0, 1, 1]
 

@@ -9,6 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from fluidsnet.cache import TensorCache
 from fluidsnet.neighbors import (
     Auto,
     BruteForce,
@@ -242,10 +243,8 @@ def test_solids_changed_where_no_version_tells(backend: Callable[[int], Neighbor
 def test_resting_solids_are_sorted_once(
     backend: Callable[[int], NeighborSearch], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from fluidsnet.neighbors import kept
-
     made = 0
-    genuine = kept.TensorCache.get
+    genuine = TensorCache.get
 
     def counting(self, tensors, settings, make):  # type: ignore[no-untyped-def]
         def counted(*given: Tensor) -> object:
@@ -255,7 +254,7 @@ def test_resting_solids_are_sorted_once(
 
         return genuine(self, tensors, settings, counted)
 
-    monkeypatch.setattr(kept.TensorCache, "get", counting)
+    monkeypatch.setattr(TensorCache, "get", counting)
     search = backend(K)
     particles = _frames()
     for _ in range(3):

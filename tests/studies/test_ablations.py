@@ -1,4 +1,4 @@
-"""The ablations' study: what it runs, what it goes on with, and what it refuses."""
+"""The ablation study's command: running, resuming and refusing trainings."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ import yaml
 
 from fluidsnet.errors import UserError
 from fluidsnet.main import main
+from fluidsnet.reporting.results import results_folders
 from fluidsnet.studies.ablations.training import NOTE, Training
 
 ROOT = Path(__file__).parents[2]
@@ -38,21 +39,22 @@ def options(folder: Path, steps: int) -> list[str]:
 
 @pytest.fixture(autouse=True)
 def at_the_root(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the shipped configs and the data that they name are."""
+    """Change to the folder of the shipped configs and data."""
     monkeypatch.chdir(ROOT)
 
 
+@pytest.mark.usefixtures("default_signals")
 def test_an_interrupted_study_goes_on_and_ends_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "study"
     run = folder / "sample" / "stride_1" / "seed_3"
-    words = options(folder, 24)
+    arguments = options(folder, 24)
     checkpoint = run / "checkpoints" / "last.ckpt"
-    # From the keyboard, which reaches the whole group; and the study alone, as a scheduler does.
-    for number, reach, status in ((signal.SIGINT, os.killpg, 130), (signal.SIGTERM, os.kill, 143)):
+    # The keyboard signals the whole process group, a scheduler the study alone.
+    for number, send, status in ((signal.SIGINT, os.killpg, 130), (signal.SIGTERM, os.kill, 143)):
         study = subprocess.Popen(
-            [sys.executable, "-m", "fluidsnet.main", *words],
+            [sys.executable, "-m", "fluidsnet.main", *arguments],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,
@@ -64,45 +66,46 @@ def test_an_interrupted_study_goes_on_and_ends_once(
             if checkpoint.exists() and checkpoint.stat().st_mtime_ns > before:
                 break
             time.sleep(0.05)
-        reach(study.pid, number)
-        _, said = study.communicate(timeout=60)
-        assert study.returncode == status, said
+        send(study.pid, number)
+        _, errors = study.communicate(timeout=60)
+        assert study.returncode == status, errors
         assert json.loads((run / NOTE).read_text())["done"] == []
 
-    main(words)
+    main(arguments)
     assert json.loads((run / NOTE).read_text())["done"] == ["fit", "test"]
     assert "Restored all states from the checkpoint" in (run / "fit.log").read_text()
+    (results,) = results_folders(run)
     for name in ("one_step.csv", "rollout_metrics.csv", "global_feature_permutation.csv"):
-        assert (run / name).exists()
+        assert (results / name).exists()
     assert (folder / "ablations.md").read_text() in capsys.readouterr().out
 
-    # Again, and nothing is done but the report.
+    # A finished study writes the report only.
     before = {path: path.stat().st_mtime_ns for path in run.rglob("*")}
     (folder / "ablations.md").unlink()
-    main(words)
+    main(arguments)
     assert {path: path.stat().st_mtime_ns for path in run.rglob("*")} == before
     assert (folder / "ablations.md").exists()
 
-    # With other options it would be another study.
+    # Other options make another study.
     with pytest.raises(SystemExit, match="1"):
         main(options(folder, 25))
     assert "was trained with other options or configs" in capsys.readouterr().err
 
 
-def test_a_training_that_fails_is_said_and_takes_no_other_along(
+def test_a_failed_training_is_reported_and_the_others_are_finished(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = options(tmp_path, 2)
-    words[1] = f"--runs={json.dumps([{'scene': 'sample', 'strides': [999, 1], 'seeds': [0]}])}"
+    arguments = options(tmp_path, 2)
+    arguments[1] = f"--runs={json.dumps([{'scene': 'sample', 'strides': [999, 1], 'seeds': [0]}])}"
     with pytest.raises(SystemExit, match="1"):
-        main([*words, "--jobs=1"])
-    said = capsys.readouterr()
-    assert "no sample for train" in said.err
-    assert "the same command does what is left" in said.err
-    assert "1 of 2 runs are finished" in said.out
+        main([*arguments, "--jobs=1"])
+    output = capsys.readouterr()
+    assert "no sample for train" in output.err
+    assert "the same command then does the rest" in output.err
+    assert "1 of 2 runs are finished" in output.out
 
 
-def test_a_training_that_fails_says_why(tmp_path: Path) -> None:
+def test_a_failed_training_gives_the_reason(tmp_path: Path) -> None:
     configs = [Path("configs", f"{name}.yaml") for name in ("trainer", "model/paper")]
     with pytest.raises(UserError, match=r"fit of .*run failed: .*max_stepz"):
         Training(tmp_path / "run", configs, ["--trainer.max_stepz=3"], 1).run("fit")
@@ -117,38 +120,39 @@ def a_training(folder: Path, steps: int, *more: str) -> Training:
 
 
 def child_in(folder: Path) -> int:
-    """The process that trains in a folder."""
-    for place in Path("/proc").glob("[0-9]*"):
+    """Return the id of the process that trains in a folder."""
+    for process in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):
-            words = (place / "cmdline").read_text().split("\0")
-            # Those that read ahead are its children and have the same words.
-            father = int((place / "stat").read_text().rpartition(")")[2].split()[1])
-            if f"--trainer.logger.init_args.save_dir={folder}" in words and father == os.getpid():
-                return int(place.name)
+            command = (process / "cmdline").read_text().split("\0")
+            # Its data loader's workers have the same command line but another parent.
+            parent = int((process / "stat").read_text().rpartition(")")[2].split()[1])
+            if f"--trainer.logger.init_args.save_dir={folder}" in command and parent == os.getpid():
+                return int(process.name)
     raise AssertionError("no process trains")
 
 
-def test_a_fit_that_is_counted_in_epochs_must_keep_weights(tmp_path: Path) -> None:
+def test_a_fit_limited_by_epochs_must_save_weights(tmp_path: Path) -> None:
     short = "--trainer.limit_train_batches=2"
     a_training(tmp_path / "one", -1, short, "--trainer.max_epochs=1").run("fit")
     assert json.loads((tmp_path / "one" / NOTE).read_text())["done"] == ["fit"]
-    with pytest.raises(UserError, match="kept no weights"):
+    with pytest.raises(UserError, match="saved no weights"):
         a_training(tmp_path / "none", -1, short, "--trainer.max_epochs=0").run("fit")
     assert json.loads((tmp_path / "none" / NOTE).read_text())["done"] == []
 
 
-def test_weights_that_were_not_kept_are_missed(tmp_path: Path) -> None:
+def test_unsaved_last_weights_are_an_error(tmp_path: Path) -> None:
     run = a_training(tmp_path / "run", 3)
-    with pytest.raises(UserError, match="kept the weights of step 2 of 3"):
+    with pytest.raises(UserError, match="saved the weights of step 2 of 3"):
         run.run("fit")
     assert json.loads((tmp_path / "run" / NOTE).read_text())["done"] == []
 
 
+@pytest.mark.usefixtures("default_signals")
 @pytest.mark.parametrize(
     ("number", "sentence"),
     [(signal.SIGTERM, "terminated"), (signal.SIGKILL, "was killed by signal 9")],
 )
-def test_a_fit_that_is_ended_from_outside_is_not_done(
+def test_a_fit_ended_by_a_signal_is_not_done(
     tmp_path: Path, number: signal.Signals, sentence: str
 ) -> None:
     folder = tmp_path / "run"
@@ -159,8 +163,8 @@ def test_a_fit_that_is_ended_from_outside_is_not_done(
         while not (folder / "checkpoints" / "last.ckpt").exists():
             assert time.monotonic() < deadline
             time.sleep(0.05)
-        # Meanwhile nobody else trains there.
-        with pytest.raises(UserError, match="by another process; wait for it"):
+        # The folder is locked.
+        with pytest.raises(UserError, match=r"in use by another process .* wait for it"):
             a_training(folder, 5000).run("fit")
         os.kill(child_in(tmp_path), number)
         with pytest.raises(UserError, match=sentence):
@@ -168,14 +172,14 @@ def test_a_fit_that_is_ended_from_outside_is_not_done(
     assert json.loads((folder / NOTE).read_text())["done"] == []
 
 
-def test_what_another_process_did_meanwhile_is_kept(tmp_path: Path) -> None:
+def test_stages_finished_by_another_process_are_not_run_again(tmp_path: Path) -> None:
     config = tmp_path / "study.yaml"
     config.write_text("trainer: {max_steps: 1}")
     folder = tmp_path / "run"
     early = Training(folder, [config], [], 1)
     with pytest.raises(UserError, match="failed"):
         Training(folder, [config], [], 1).run("fit")
-    # As the other leaves it when it has trained and tested.
+    # The note of another process that has trained and tested.
     note = folder / NOTE
     note.write_text(json.dumps({**json.loads(note.read_text()), "done": ["fit", "test"]}))
     before = note.read_text()
@@ -185,14 +189,14 @@ def test_what_another_process_did_meanwhile_is_kept(tmp_path: Path) -> None:
     assert note.read_text() == before
 
 
-@pytest.mark.parametrize("words", ["", '{"arguments": [', "[]", "{}", '{"done": null}'])
-def test_a_damaged_note_is_one_sentence(words: str, tmp_path: Path) -> None:
-    (tmp_path / NOTE).write_text(words)
+@pytest.mark.parametrize("text", ["", '{"arguments": [', "[]", "{}", '{"done": null}'])
+def test_a_damaged_note_is_one_sentence(text: str, tmp_path: Path) -> None:
+    (tmp_path / NOTE).write_text(text)
     with pytest.raises(UserError, match=rf"{NOTE} is damaged; name another --output, or delete"):
         Training(tmp_path, [], [], 1)
 
 
-def test_weights_of_an_unknown_training_are_not_gone_on_with(tmp_path: Path) -> None:
+def test_weights_of_an_unknown_training_are_not_resumed(tmp_path: Path) -> None:
     (tmp_path / "checkpoints").mkdir()
     (tmp_path / "checkpoints" / "last.ckpt").touch()
     with pytest.raises(UserError, match=f"holds weights but no {NOTE}"):
@@ -200,7 +204,7 @@ def test_weights_of_an_unknown_training_are_not_gone_on_with(tmp_path: Path) -> 
 
 
 @pytest.mark.usefixtures("real_solver")
-def test_missing_data_are_simulated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_data_are_generated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     configs, root = tmp_path / "configs", tmp_path / "data"
     shutil.copytree(ROOT / "configs", configs)
     scene = yaml.safe_load((configs / "scene" / "sample.yaml").read_text())
@@ -209,14 +213,19 @@ def test_missing_data_are_simulated(tmp_path: Path, capsys: pytest.CaptureFixtur
     data = yaml.safe_load((configs / "data" / "sample.yaml").read_text())
     data["data"]["init_args"]["root"] = str(root)
     (configs / "data" / "puddle.yaml").write_text(yaml.safe_dump(data))
-    # A stride of more frames than there are: the training ends where it reads the data.
+    # The stride exceeds the frames, so training fails as soon as it reads the data.
     runs = json.dumps([{"scene": "puddle", "strides": [9], "seeds": [0]}])
-    words = ["ablations", f"--runs={runs}", f"--configs={configs}", f"--output={tmp_path / 'out'}"]
+    arguments = [
+        "ablations",
+        f"--runs={runs}",
+        f"--configs={configs}",
+        f"--output={tmp_path / 'out'}",
+    ]
     with pytest.raises(SystemExit, match="1"):
-        main(words)
-    said = capsys.readouterr()
-    assert f"{root} holds train.h5, val.h5, test.h5." in said.out
-    assert "no sample for train" in said.err
+        main(arguments)
+    output = capsys.readouterr()
+    assert f"{root} holds train.h5, val.h5, test.h5." in output.out
+    assert "no sample for train" in output.err
 
 
 def test_a_changed_config_is_another_training(tmp_path: Path) -> None:
@@ -226,7 +235,7 @@ def test_a_changed_config_is_another_training(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="failed"):
         Training(folder, [config], [], 1).run("fit")
     config.write_text("trainer: {max_steps: 2}")
-    # Nothing came of the first.
+    # The first saved nothing, so the folder is free.
     Training(folder, [config], [], 1)
     (folder / "checkpoints").mkdir()
     (folder / "checkpoints" / "last.ckpt").touch()
@@ -235,12 +244,18 @@ def test_a_changed_config_is_another_training(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "sentence"),
+    ("arguments", "sentence"),
     [
         (["--jobs=0"], "--jobs is 0"),
         (["--runs=[]"], "--runs names no scene"),
-        (['--runs=[{"scene": "sample", "strides": [], "seeds": [0]}]'], "needs strides from 1 on"),
-        (['--runs=[{"scene": "sample", "strides": [0], "seeds": [0]}]'], "needs strides from 1 on"),
+        (
+            ['--runs=[{"scene": "sample", "strides": [], "seeds": [0]}]'],
+            "needs at least one stride",
+        ),
+        (
+            ['--runs=[{"scene": "sample", "strides": [0], "seeds": [0]}]'],
+            "needs at least one stride",
+        ),
         (['--runs=[{"scene": "lake", "strides": [1], "seeds": [0]}]'], "data/lake.yaml is missing"),
         (["--configs=nowhere"], "nowhere/trainer.yaml is missing"),
         (["--steps=3"], "steps"),
@@ -248,17 +263,17 @@ def test_a_changed_config_is_another_training(tmp_path: Path) -> None:
         (['--fit=["-c", "my.yaml"]'], "not -c; files belong in the folder of"),
         (['--fit=["--data=my.yaml"]'], "not --data=my.yaml; files belong in the folder of"),
         (['--fit=["--seed_everything=1"]'], "takes single settings such as"),
-        (['--fit=["--data.init_args.root=here"]'], "has its data is said in configs/data"),
-        (['--fit=["--data.init_args.root", "here"]'], "has its data is said in configs/data"),
-        (['--fit=["--data.root=here"]'], "has its data is said in configs/data"),
+        (['--fit=["--data.init_args.root=here"]'], "set the data of each scene in configs/data"),
+        (['--fit=["--data.init_args.root", "here"]'], "set the data of each scene in configs/data"),
+        (['--fit=["--data.root=here"]'], "set the data of each scene in configs/data"),
     ],
 )
-def test_what_cannot_be_run_is_one_sentence(
-    words: list[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_an_invalid_option_is_one_sentence(
+    arguments: list[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit, match="1"):
-        main(["ablations", *words, f"--output={tmp_path / 'study'}"])
-    said = capsys.readouterr().err
-    assert said.startswith("fluidsnet: ") and sentence in said
-    assert "Traceback" not in said
+        main(["ablations", *arguments, f"--output={tmp_path / 'study'}"])
+    errors = capsys.readouterr().err
+    assert errors.startswith("fluidsnet: ") and sentence in errors
+    assert "Traceback" not in errors
     assert not (tmp_path / "study").exists()

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import csv
 import importlib.util
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,15 +11,14 @@ import pytest
 from datamodules.reader import FrameReader
 from fluidsnet.main import main
 from fluidsnet.network import Network
-from fluidsnet.studies import speed_run, speed_solver
-from fluidsnet.studies.bench import measure
-from fluidsnet.studies.cores import floor
 from fluidsnet.studies.dam_break import Dam
-from fluidsnet.studies.model import load_model
-from fluidsnet.studies.speed_number import number
-from fluidsnet.studies.speed_report import Report
-from fluidsnet.studies.speed_row import Row
-from fluidsnet.studies.trial import Result, Trial
+from fluidsnet.studies.speed import command
+from fluidsnet.studies.speed.floor import step_floor
+from fluidsnet.studies.speed.measure import load_model, measure
+from fluidsnet.studies.speed.options import SpeedOptions
+from fluidsnet.studies.speed.report import Report
+from fluidsnet.studies.speed.table import Row, number
+from fluidsnet.studies.speed.trial import Result, Trial
 
 MODELS = Path(__file__).parents[2] / "configs" / "model"
 
@@ -82,34 +82,36 @@ def test_the_start_without_a_solver(tmp_path: Path) -> None:
     state = reader.state("00000", 2, reader.scene(1))
     assert len(state) == dam.particles
     assert (state.position > 0).all() and (state.position < state.scene.domain_upper).all()
-    common = {"states": str(tmp_path / "start.h5"), "repeats": 1}
-    reference = str(tmp_path / "reference.npy")
-    assert measure(Trial("reference", reference=reference, **common)).failure == ""
+    options = SpeedOptions(repeats=1, threads=1, batch=2)
+    base = Trial("reference", options, tmp_path / "start.h5", reference=tmp_path / "reference.npy")
+    assert measure(base).failure == ""
     for neighbors in ("CellList", "TorchCluster"):
-        found = measure(Trial("step", neighbors=neighbors, reference=reference, **common))
+        found = measure(replace(base, kind="step", neighbors=neighbors))
         assert found.error is not None and found.error < 1e-5
         assert set(found.stages) == {"search", "local", "voxel", "global", "head"}
-    half = measure(Trial("step", precision="bfloat16", reference=reference, **common))
+    half = measure(replace(base, kind="step", precision="bfloat16"))
     assert half.error is not None and 0 < half.error < 0.1
-    many = measure(Trial("batch", batch=2, **common))
+    many = measure(replace(base, kind="batch"))
     assert sum(many.batches) == 2
 
 
-def test_any_model(tmp_path: Path) -> None:
+def _network(neighbors: str = "Auto", model: Path | None = None) -> Network:
+    loaded = load_model(SpeedOptions(model=None if model is None else str(model)), neighbors)
+    assert not loaded.training
+    return loaded.network
+
+
+def test_any_model() -> None:
     for path in sorted(MODELS.glob("*.yaml")):
-        module = load_model(str(path), None, "CellList", 0.02)
-        assert not module.training
-        assert type(module.model.network.neighbors).__name__ == "CellList"
-        assert isinstance(module.model.network, Network)
-    paper = load_model(None, None, "Auto", 0.02).network
-    known = {name: value.shape for name, value in paper.state_dict().items()}
-    written = load_model(str(MODELS / "paper.yaml"), None, "Auto", 0.02).network
+        assert type(_network("CellList", path).neighbors).__name__ == "CellList"
+    known = {name: value.shape for name, value in _network().state_dict().items()}
+    written = _network(model=MODELS / "paper.yaml")
     assert {name: value.shape for name, value in written.state_dict().items()} == known
-    assert floor(load_model(str(MODELS / "field.yaml"), None, "Auto", 0.02).network, 9, 9.0) is None
+    assert step_floor(_network(model=MODELS / "field.yaml"), 9, 9.0) is None
 
 
 def test_the_floor_counts_the_papers_layers() -> None:
-    found = floor(load_model(None, None, "Auto", 0.02).network, 1, 30.0)
+    found = step_floor(_network(), 1, 30.0)
     assert found is not None
     # By hand: Table 1's layers, 16 operations a tanh, the mean of nine numbers.
     edge = 7 + 16 * 7 + 2 * 7 * 9 + 16 * 9 + 9
@@ -120,7 +122,8 @@ def test_the_floor_counts_the_papers_layers() -> None:
 
 
 def test_what_was_skipped_says_so(tmp_path: Path) -> None:
-    report = Report(rows=[Row(1000, 0, "network", "TorchCluster", "float32", note="skipped: why")])
+    result = Result(failure="skipped: why")
+    report = Report(rows=[Row(1000, "network", "TorchCluster", "float32", result=result)])
     assert "skipped: why" in report.write(tmp_path)
     (row,) = _table(tmp_path)
     assert row["note"] == "skipped: why" and row["step s"] == "" == row["speed-up"]
@@ -131,12 +134,12 @@ def _study(
 ) -> str:
     """The page of a tiny study whose processes leave these results, by kind of trial."""
 
-    def in_own_process(work: Path, trial: Trial) -> Result:
+    def run_trial(work: Path, trial: Trial) -> Result:
         return results.get(trial.kind, Result())
 
-    monkeypatch.setattr(speed_run, "in_own_process", in_own_process)
+    monkeypatch.setattr(command, "run_trial", run_trial)
     # The paper's scenes take minutes.
-    monkeypatch.setattr(speed_run, "BATCHES", [("a dam", 1000)])
+    monkeypatch.setattr(command, "TABLE_3_PARTICLES", (1000,))
     words = ["--particles=[1000]", "--batch=2", "--threads=1", "--neighbors=[Auto]"]
     main(["speed", *words, f"--solvers=[{solver}]", f"--output={folder}"])
     return (folder / "speed.md").read_text()
@@ -168,7 +171,7 @@ def test_without_the_cores_there_is_no_floor(
     page = _study(tmp_path / "whole", monkeypatch, cores=CORES, step=STEP)
     assert "A copy moves 30.0 GB/s" in page and "Gflop |" in page
     page = _study(tmp_path, monkeypatch, cores=Result(failure="out of memory"), step=STEP)
-    assert "What these cores can do was not measured (out of memory)." in page
+    assert "Bandwidth and arithmetic of the cores were not measured (out of memory)." in page
     assert "Gflop |" not in page
     assert [row["note"] for row in _table(tmp_path)] == [""]
 
@@ -177,11 +180,11 @@ def test_every_measurement_says_what_ran_beside_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # Before the first measurement, then of the cores, of the step and of the frames at once.
-    monkeypatch.setattr(speed_run, "OtherLoad", _load(0.0, 0.4, 0.0, 0.7))
+    monkeypatch.setattr(command, "OtherLoad", _load(0.0, 0.4, 0.0, 0.7))
     page = _study(tmp_path, monkeypatch, cores=CORES, step=STEP, batch=BATCH)
     assert "while its cores were measured: others took 0.4 cores; do not trust the floor." in page
     assert "busy during 1 of 2 measurements, others took up to 0.7 cores" in page
-    assert "do not trust the times of: 1,008 × 2 frames at once." in page
+    assert "do not trust the times of: 1,008 particles, 2 frames at once." in page
     said = capsys.readouterr().err
     assert "others took 0.4 cores during the measurement of the cores." in said
     assert "others took 0.7 cores during 1,008 particles, 2 frames at once." in said
@@ -192,11 +195,10 @@ def test_what_ran_beside_the_solver_counts_for_the_frames_at_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The solver runs for the size, and again for the frames.
-    monkeypatch.setattr(speed_solver, "OtherLoad", _load(0.0, 0.6))
-    monkeypatch.setattr(speed_run, "OtherLoad", _load(0.0, 0.0, 0.0, 0.0))
+    monkeypatch.setattr(command, "OtherLoad", _load(0.0, 0.0, 0.0, 0.0, 0.6, 0.0))
     page = _study(tmp_path, monkeypatch, "IISPH", cores=CORES, step=STEP, batch=BATCH)
     assert "busy during 1 of 3 measurements, others took up to 0.6 cores" in page
-    assert "do not trust the times of: 1,008 × 2 frames at once." in page
+    assert "do not trust the times of: 1,008 particles, 2 frames at once." in page
 
 
 @pytest.mark.parametrize(

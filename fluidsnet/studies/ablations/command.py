@@ -1,34 +1,42 @@
-"""``fluidsnet ablations``: both ablations of the paper, over scenes, time steps and seeds."""
+"""``fluidsnet ablations``: the paper's two ablations over scenes, time steps and seeds."""
 
 from __future__ import annotations
 
 import re
 import signal
 import sys
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
 
 import yaml
-from tqdm import tqdm
 
 from datamodules.generate.command import generate_command
 from datamodules.schema import SPLITS
 from fluidsnet.errors import UserError
+from fluidsnet.progress import Progress
 from fluidsnet.studies.ablations.report import write_report
-from fluidsnet.studies.ablations.trained_run import TrainedRun
-from fluidsnet.studies.ablations.training import Training
+from fluidsnet.studies.ablations.results import TrainedRun
+from fluidsnet.studies.ablations.training import STAGES, Training
 from fluidsnet.studies.machine import cores
-from fluidsnet.studies.parser import Parser, study_parser
+from fluidsnet.studies.parser import study_parser
 
-#: Of `configs`, in the order they are composed; the scene's data come after the second.
-BEFORE = ("trainer.yaml", "model/paper.yaml")
-AFTER = ("study/ablations.yaml", "ablation/target.yaml", "ablation/global_feature.yaml")
-#: Options of `fluidsnet fit` without a dot: whole sections, files, and what the study sets itself.
+#: Configs in the order of composition; the scene's data config comes between the two.
+_BEFORE_DATA = ("trainer.yaml", "model/paper.yaml")
+_AFTER_DATA = ("study/ablations.yaml", "ablation/target.yaml", "ablation/global_feature.yaml")
+#: Options of `fluidsnet fit` without a dot: sections, files, and the seed.
 _WHOLE = re.compile(r"-[a-z]|--\w+(=|$)")
 _ROOT = re.compile(r"--data\.(root|init_args|init_args\.root)(=|$)")
+
+_DESCRIPTION = """\
+Train the paper's network beside two twins, one that predicts the acceleration and one without the
+global feature, on several scenes, time steps and seeds, and check the paper's claims. Missing data
+are generated. An interrupted study resumes with the same command. The whole study takes about two
+hours on two cores; a first try:
+fluidsnet ablations --fit '[--trainer.max_steps=100]' --output runs/try \
+--runs '[{"scene": "dam_break_small", "strides": [8], "seeds": [0]}]'
+"""
 
 
 @dataclass(frozen=True)
@@ -36,9 +44,9 @@ class SceneRuns:
     """Trainings on one scene: each stride with each seed.
 
     Attributes:
-        scene: a name in configs/scene and configs/data.
-        strides: frames from a state to the next.
-        seeds: of everything that is drawn.
+        scene: Name of its files in configs/scene and configs/data.
+        strides: Frames of the data per step of the network.
+        seeds: Global seeds of the trainings.
     """
 
     scene: str
@@ -46,7 +54,7 @@ class SceneRuns:
     seeds: list[int]
 
 
-def _study() -> list[SceneRuns]:
+def _default_runs() -> list[SceneRuns]:
     return [
         SceneRuns("dam_break_small", [1, 8], [0, 1, 2]),
         SceneRuns("drop_pool_small", [1, 8], [0]),
@@ -56,18 +64,18 @@ def _study() -> list[SceneRuns]:
 
 @dataclass(frozen=True)
 class AblationsOptions:
-    """What to train.
+    """Options of the study.
 
     Attributes:
-        runs: scenes, each with its strides and seeds; those of docs/ablations.md by default.
-        fit: more settings of `fluidsnet fit` for all of them, such as
-            ["--trainer.max_steps=100"]; weights are kept every 100 steps.
+        runs: scenes, each with strides and seeds; those of docs/ablations.md by default.
+        fit: further settings of `fluidsnet fit` for all trainings, such as
+            ["--trainer.max_steps=100"]; weights are saved every 100 steps.
         configs: the folder of the configs.
-        jobs: trainings at once; on the CPU they share its cores. 1 where there is one GPU.
-        output: folder for the runs, and for ablations.md, its CSV files and its pictures.
+        jobs: concurrent trainings, which share the cores of the CPU; 1 where there is one GPU.
+        output: folder for the runs, and for ablations.md, its CSV files and its figures.
     """
 
-    runs: list[SceneRuns] = field(default_factory=_study)
+    runs: list[SceneRuns] = field(default_factory=_default_runs)
     fit: list[str] = field(default_factory=list)
     configs: str = "configs"
     jobs: int = 2
@@ -76,85 +84,70 @@ class AblationsOptions:
     def __post_init__(self) -> None:
         if self.jobs < 1:
             raise UserError(f"--jobs is {self.jobs}; it must be at least 1.")
-        for of in self.runs:
-            if not of.strides or min(of.strides) < 1 or not of.seeds:
-                raise UserError(f"--runs: {of.scene} needs strides from 1 on, and seeds.")
         if not self.runs:
             raise UserError("--runs names no scene.")
-        for word in self.fit:
-            # A training's note does not know of files named here, and they could name other data.
-            if _WHOLE.match(word):
+        for runs in self.runs:
+            if not runs.strides or min(runs.strides) < 1 or not runs.seeds:
                 raise UserError(
-                    f"--fit takes single settings such as --trainer.max_steps=100, not {word}; "
+                    f"--runs: {runs.scene} needs at least one stride, each 1 or more, and at "
+                    "least one seed."
+                )
+        for argument in self.fit:
+            # Files named here would not be hashed in a training's note, and may name other data.
+            if _WHOLE.match(argument):
+                raise UserError(
+                    f"--fit takes single settings such as --trainer.max_steps=100, not {argument}; "
                     "files belong in the folder of --configs."
                 )
-            if _ROOT.match(word):
+            if _ROOT.match(argument):
                 raise UserError(
-                    f"--fit has {word}, for all scenes; where each has its data is said in "
-                    f"{self.configs}/data."
+                    f"--fit has {argument}, which would hold for all scenes; set the data of each "
+                    f"scene in {self.configs}/data."
                 )
-        for name in (*BEFORE, *AFTER, *(f"data/{of.scene}.yaml" for of in self.runs)):
+        data = (f"data/{runs.scene}.yaml" for runs in self.runs)
+        for name in (*_BEFORE_DATA, *_AFTER_DATA, *data):
             if not (Path(self.configs) / name).is_file():
                 raise UserError(f"{self.configs}/{name} is missing; --configs names the folder.")
 
 
 def ablations_command(arguments: list[str]) -> None:
-    """Simulates what is missing, trains and tests what is not done, and writes the report.
+    """Generate missing data, train and test unfinished runs, and write the report.
 
     Raises:
-        UserError: an option cannot be used, or a training failed; the others go on.
+        UserError: An option is invalid, or trainings failed; the others are finished first.
     """
-    parser = _parser()
+    parser = study_parser("ablations", _DESCRIPTION, AblationsOptions)
     values = vars(parser.instantiate(parser.parse_args(arguments)))
-    options = AblationsOptions(**{name: of for name, of in values.items() if name != "config"})
+    values.pop("config")
+    options = AblationsOptions(**values)
     trainings = _trainings(options)
     for scene in dict.fromkeys(run.scene for run in trainings):
         _generate(Path(options.configs), scene)
     failures = _train(trainings, options)
-    print(f"\n{_report(trainings, options)}\n{options.output}/ablations.md holds it.")
+    print(f"\n{_report(trainings, options)}\nThis report is in {options.output}/ablations.md.")
     if failures:
-        raise UserError(
-            "\n".join([*failures, "When that is mended, the same command does what is left."])
-        )
-
-
-def _parser() -> Parser:
-    return study_parser(
-        "ablations",
-        (
-            "Trains the paper's network beside one that predicts the acceleration and one without "
-            "the global feature, on several scenes, time steps and seeds, and says what that makes "
-            "of the paper's claims. It simulates the data that are missing. It may be interrupted: "
-            "the same command goes on where it was. The whole study takes two cores some two "
-            "hours; a first try: fluidsnet ablations --fit '[--trainer.max_steps=100]' --runs "
-            '\'[{"scene": "dam_break_small", "strides": [8], "seeds": [0]}]\' --output runs/try'
-        ),
-        AblationsOptions,
-    )
+        raise UserError("\n".join([*failures, "Fix this; the same command then does the rest."]))
 
 
 def _trainings(options: AblationsOptions) -> dict[TrainedRun, Training]:
     configs = Path(options.configs)
-    found: dict[TrainedRun, Training] = {}
-    for of in options.runs:
-        files = [configs / name for name in (*BEFORE, f"data/{of.scene}.yaml", *AFTER)]
-        for seed in of.seeds:
-            for stride in of.strides:
-                name = Path(of.scene, f"stride_{stride}", f"seed_{seed}")
-                run = TrainedRun(of.scene, stride, seed, Path(options.output) / name)
-                arguments = [
-                    *options.fit,
-                    # Last, as the run is named for them.
-                    f"--seed_everything={seed}",
-                    f"--data.init_args.stride={stride}",
-                ]
-                threads = max(1, cores() // options.jobs)
-                found[run] = Training(run.folder, files, arguments, threads)
-    return found
+    threads = max(1, cores() // options.jobs)
+    trainings: dict[TrainedRun, Training] = {}
+    for runs in options.runs:
+        names = (*_BEFORE_DATA, f"data/{runs.scene}.yaml", *_AFTER_DATA)
+        files = [configs / name for name in names]
+        for seed in runs.seeds:
+            for stride in runs.strides:
+                folder = Path(options.output, runs.scene, f"stride_{stride}", f"seed_{seed}")
+                # Last, since the folder is named after them.
+                settings = [f"--seed_everything={seed}", f"--data.init_args.stride={stride}"]
+                training = Training(folder, files, [*options.fit, *settings], threads)
+                trainings[TrainedRun(runs.scene, stride, seed, folder)] = training
+    return trainings
 
 
 def _generate(configs: Path, scene: str) -> None:
-    """Simulates a scene whose data are missing."""
+    """Generate the data of a scene where they are missing."""
     values: Any = yaml.safe_load((configs / "data" / f"{scene}.yaml").read_text())
     root = Path(values["data"]["init_args"]["root"])
     if not all((root / f"{split}.h5").exists() for split in SPLITS):
@@ -162,24 +155,23 @@ def _generate(configs: Path, scene: str) -> None:
 
 
 def _train(trainings: dict[TrainedRun, Training], options: AblationsOptions) -> list[str]:
-    """Trains several at once, and reports after each; what failed is said at the end."""
-    left = [training for training in trainings.values() if not training.done]
+    """Run unfinished trainings concurrently, write the report after each; return the failures."""
+    unfinished = [training for training in trainings.values() if not training.done]
     failures: list[str] = []
-    stages = len(Training.STAGES)
-    bar = tqdm(total=stages * len(trainings), desc="training and testing", unit="stage")
-    bar.update(stages * (len(trainings) - len(left)))
+    total = len(STAGES) * len(trainings)
+    progress = Progress(total=total, desc="training and testing", unit="stage")
+    progress.update(total - len(STAGES) * len(unfinished))
 
-    def both(training: Training) -> None:
-        for stage in Training.STAGES:
+    def run_stages(training: Training) -> None:
+        for stage in STAGES:
             training.run(stage)
-            bar.update()
+            progress.update()
 
     pool = ThreadPoolExecutor(options.jobs)
     before = signal.signal(signal.SIGTERM, _terminated)
     try:
-        waiting = [pool.submit(both, training) for training in left]
-        for ended in as_completed(waiting):
-            error = ended.exception()
+        for future in as_completed([pool.submit(run_stages, training) for training in unfinished]):
+            error = future.exception()
             if isinstance(error, UserError):
                 failures.append(str(error))
                 print(error, file=sys.stderr)
@@ -188,12 +180,12 @@ def _train(trainings: dict[TrainedRun, Training], options: AblationsOptions) -> 
             else:
                 _report(trainings, options)
     finally:
-        # Of an interrupt the processes know only where it came from the keyboard.
-        for training in left:
+        # The children get an interrupt from the keyboard, but no signal sent to this process.
+        for training in unfinished:
             training.stop()
         pool.shutdown(cancel_futures=True)
         signal.signal(signal.SIGTERM, before)
-        bar.close()
+        progress.close()
     return failures
 
 
@@ -203,5 +195,5 @@ def _terminated(number: int, frame: object) -> NoReturn:
 
 
 def _report(trainings: dict[TrainedRun, Training], options: AblationsOptions) -> str:
-    done: Sequence[TrainedRun] = [run for run, training in trainings.items() if training.done]
-    return write_report(Path(options.output), done, len(trainings))
+    finished = [run for run, training in trainings.items() if training.done]
+    return write_report(Path(options.output), finished, len(trainings))

@@ -1,74 +1,137 @@
-"""Each twin set beside the model that it was trained with."""
+"""Comparison of each twin with its model: ratios with confidence intervals, seed by seed."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from fluidsnet.studies.ablations.group import Group
-from fluidsnet.studies.ablations.numbers import (
-    ACCELERATION,
-    MODEL,
-    WITHOUT,
-    Lookup,
-    one_step,
-    rollout,
-)
-from fluidsnet.studies.ablations.ratio import Ratio
+import numpy as np
+from scipy.stats import t as student
 
-#: What is compared of rollouts from rest, after their last step.
+from fluidsnet.studies.ablations.results import ACCELERATION, MODEL, REST, WITHOUT, Group
+
+#: With fewer seeds nothing is decided.
+_LEAST_SEEDS = 3
+#: Metrics of rollouts from rest that are compared after the last step.
 _ROLLOUT = ("position_error mm", "chamfer mm")
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """A twin's figure over the model's.
+class Ratio:
+    """Ratios of two numbers, one per seed.
 
     Attributes:
-        twin: its name.
-        group: the runs.
-        figure: of both, in words.
-        ratio: of the figures, above 1 where the model is better.
+        each: One per seed; infinite where only the first number is, NaN where both are.
+    """
+
+    each: tuple[float, ...]
+
+    @classmethod
+    def of(cls, pairs: Sequence[tuple[float, float]]) -> Ratio:
+        """Divide the first number of each pair by the second; both at least 0."""
+        first, second = np.array(pairs, dtype=float).reshape(-1, 2).T
+        with np.errstate(all="ignore"):
+            return cls(tuple((first / second).tolist()))
+
+    @property
+    def mean(self) -> float:
+        """Geometric mean; NaN where there is no ratio."""
+        with np.errstate(all="ignore"):
+            return float(np.exp(np.log(self.each).mean())) if self.each else math.nan
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """95 % confidence interval of the mean, by Student's t over the logarithms.
+
+        None with fewer than three seeds, and where a ratio is zero or not finite.
+        """
+        count = len(self.each)
+        if count < _LEAST_SEEDS or not all(0 < ratio < math.inf for ratio in self.each):
+            return None
+        logs = np.log(self.each)
+        half = student.ppf(0.975, count - 1) * logs.std(ddof=1) / math.sqrt(count)
+        with np.errstate(over="ignore"):
+            return float(np.exp(logs.mean() - half)), float(np.exp(logs.mean() + half))
+
+    def side(self, value: float = 1.0) -> int:
+        """Return 1 where the interval lies above a value, -1 below, 0 where undecided."""
+        if self.interval is None:
+            return 0
+        lower, upper = self.interval
+        return int(lower > value) - int(upper < value)
+
+    def __str__(self) -> str:
+        if not self.each:
+            return "unknown"
+        if self.interval is None:
+            count = sum(not math.isfinite(ratio) for ratio in self.each)
+            note = f" (not finite in {count} of {len(self.each)} seeds)" if count else ""
+            return f"{digits(self.mean)}{note}"
+        lower, upper = self.interval
+        return f"{digits(self.mean)} [{digits(lower)}, {digits(upper)}]"
+
+
+def digits(value: float) -> str:
+    """Format with three significant digits, trailing zeros kept, without an exponent."""
+    if not math.isfinite(value):
+        return f"{value:g}"
+    text = f"{value:#.3g}"
+    # Test the text, since 999.7 is rounded up to 1.00e+03.
+    return f"{value:,.0f}" if float(text) >= 1000 else text.rstrip(".")
+
+
+def paired(first: Mapping[int, float], second: Mapping[int, float]) -> Ratio:
+    """Divide numbers by seed, for the seeds that have both."""
+    return Ratio.of([(first[seed], second[seed]) for seed in first if seed in second])
+
+
+def accuracy(group: Group, twin: str) -> Ratio:
+    """Divide the twin's `velocity_mse` by the model's, one step ahead on the test split."""
+    metric = "velocity_mse m²/s²"
+    return paired(group.values(twin, metric), group.values(MODEL, metric))
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A twin's metric over the model's.
+
+    Attributes:
+        twin: Name of the twin.
+        group: The runs.
+        metric: The metric in words.
+        ratio: Above 1 where the model is better.
     """
 
     twin: str
     group: Group
-    figure: str
+    metric: str
     ratio: Ratio
 
     @property
     def decision(self) -> str:
-        """Which is better, in words."""
-        words = {1: "the model is better", -1: "the twin is better", 0: "not decided"}
-        return words[self.ratio.side()]
-
-
-def paired(group: Group, one: Lookup, other: Lookup) -> Ratio:
-    """One number over another, for each seed that has both."""
-    pairs = [(one(run), other(run)) for run in group.runs]
-    return Ratio.of([(a, b) for a, b in pairs if a is not None and b is not None])
-
-
-def accuracy(group: Group, twin: str) -> Ratio:
-    """A twin's `velocity_mse` over the model's, one step ahead on the test split."""
-    mine, other = (one_step(who, "velocity_mse m²/s²") for who in (MODEL, twin))
-    return paired(group, other, mine)
+        """Which of the two is better, in words."""
+        return {1: "the model is better", -1: "the twin is better", 0: "not decided"}[
+            self.ratio.side()
+        ]
 
 
 def compare(groups: Sequence[Group]) -> list[Comparison]:
-    """All that is compared, of each twin in each group that has it."""
-    found = []
+    """Compare each twin with the model in each group that has it."""
+    comparisons = []
     for twin in (ACCELERATION, WITHOUT):
         for group in groups:
             ratios = {"velocity_mse, one step": accuracy(group, twin)}
-            for moment in group.moments()[-1:]:
+            for moment in group.moments(REST)[-1:]:
                 for column in _ROLLOUT:
+                    first, second = (
+                        group.values(name, column, REST, moment.steps) for name in (twin, MODEL)
+                    )
                     name = f"{column.partition(' ')[0]}, {moment.time:.4g} s"
-                    mine, other = (rollout(who, moment.steps, column) for who in (MODEL, twin))
-                    ratios[name] = paired(group, other, mine)
-            found += [
-                Comparison(twin, group, figure, ratio)
-                for figure, ratio in ratios.items()
+                    ratios[name] = paired(first, second)
+            comparisons += [
+                Comparison(twin, group, metric, ratio)
+                for metric, ratio in ratios.items()
                 if ratio.each
             ]
-    return found
+    return comparisons

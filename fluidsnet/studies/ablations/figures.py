@@ -1,19 +1,20 @@
-"""The figures of the ablation study, a panel a scene and stride."""
+"""Figures of the ablation study, with a panel for each scene and stride."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from statistics import fmean, median
+from typing import Any
 
+import numpy as np
+import pandas as pd
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fluidsnet.reporting.rollout_curves import COLORS, TWIN_COLORS
-from fluidsnet.studies.ablations.group import Group
-from fluidsnet.studies.ablations.numbers import ACCELERATION, MODEL, MOTION, WITHOUT
+from fluidsnet.studies.ablations.results import ACCELERATION, ENERGY, MODEL, MOTION, WITHOUT, Group
 
 _COLORS = {
     MODEL: COLORS["model"],
@@ -22,165 +23,132 @@ _COLORS = {
     "truth": COLORS["truth"],
 }
 _TARGET = {MODEL: "velocity target", ACCELERATION: "acceleration target"}
-_CONTEXT = {MODEL: "with global feature", WITHOUT: "without global feature"}
-_Draw = Callable[[Axes, Group, Mapping[str, str]], list[str]]
-#: A curve: (training step or time, value).
-Points = Sequence[tuple[float, float]]
-_ENERGY = "kinetic_energy J/kg"
-#: How many times the truth's greatest energy an axis shows at most.
+_GLOBAL = {MODEL: "with global feature", WITHOUT: "without global feature"}
+#: Upper limit of the energy axis, in units of the truth's greatest energy.
 _ENERGIES = 3.0
 
 
 def draw_figures(folder: Path, groups: Sequence[Group]) -> None:
     """Draw ``target.png``, ``global_feature.png`` and ``global_feature_energy.png``.
 
-    The first corresponds to the paper's figure 11: both models' `velocity_mse` on the validation
-    split against the training step. The second is the same with and without the global feature;
-    the third is what figure 12 shows, in numbers.
+    The first corresponds to the paper's figure 11, the third to its figure 12.
 
     Args:
-        folder: that they are written into.
-        groups: the runs; one at least.
+        folder: Folder of the figures.
+        groups: The runs; at least one group.
     """
-    drawn = {
-        "target.png": target_figure(groups),
-        "global_feature.png": context_figure(groups),
-        "global_feature_energy.png": energy_figure(groups),
-    }
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, figure in drawn.items():
-        figure.savefig(folder / name)
+    target_figure(groups).savefig(folder / "target.png")
+    _figure(groups, _GLOBAL, _draw_training).savefig(folder / "global_feature.png")
+    energy_figure(groups).savefig(folder / "global_feature_energy.png")
 
 
 def target_figure(groups: Sequence[Group]) -> Figure:
-    """Errors with either target while training."""
-    return _figure(groups, _TARGET, _training)
-
-
-def context_figure(groups: Sequence[Group]) -> Figure:
-    """Errors with and without the global feature while training."""
-    return _figure(groups, _CONTEXT, _training)
+    """Plot validation errors with both targets against the training step."""
+    return _figure(groups, _TARGET, _draw_training)
 
 
 def energy_figure(groups: Sequence[Group]) -> Figure:
-    """Kinetic energy of rollouts in motion, with and without the global feature, and the truth's.
+    """Plot the kinetic energy of rollouts in motion, with and without the global feature.
 
-    A panel's title says what is beyond its axis, which ends at three times the truth's most.
+    The axis ends at three times the truth's maximum; a panel's title names values beyond it.
     """
-    return _figure(groups, {"truth": "truth", **_CONTEXT}, _energy)
+    return _figure(groups, {"truth": "truth", **_GLOBAL}, _draw_energy)
 
 
 def trivial_mse(group: Group) -> float | None:
-    """`velocity_mse` of the better trivial predictor on the validation split, m²/s².
+    """Return `velocity_mse` of the better trivial predictor on the validation split, m²/s².
 
-    The frames are the same for all models and validations, and skill is measured against it.
+    It follows from the model's error and skill, and is the same for all validations.
     """
-    found = []
-    for run in group.runs:
-        skills = dict(run.curve("skill", MODEL))
-        for step, error in run.curve("velocity_mse", MODEL):
-            rest = 1 - skills.get(step, math.nan)
-            if math.isfinite(error) and math.isfinite(rest) and rest > 0:
-                found.append(error / rest)
-    return median(found) if found else None
+    errors = pd.concat(
+        [run.curve("velocity_mse", MODEL) / (1 - run.curve("skill", MODEL)) for run in group.runs]
+    )
+    errors = errors[np.isfinite(errors) & (errors > 0)]
+    return None if errors.empty else float(errors.median())
 
 
-def mean_curve(curves: Sequence[Points]) -> Points:
-    """The mean of curves, where all have a value."""
-    known = [dict(curve) for curve in curves if curve]
-    if not known:
-        return ()
-    steps = sorted(set.intersection(*map(set, known)))
-    return [(step, fmean(curve[step] for curve in known)) for step in steps]
-
-
-def _figure(groups: Sequence[Group], who: Mapping[str, str], draw: _Draw) -> Figure:
+def _figure(
+    groups: Sequence[Group],
+    labels: Mapping[str, str],
+    draw: Callable[[Axes, Group, Mapping[str, str]], list[str]],
+) -> Figure:
+    """Make a figure; `draw` fills a panel and returns further lines of its title."""
     scenes = list(dict.fromkeys(group.scene for group in groups))
     strides = sorted({group.stride for group in groups})
-    known = {(group.scene, group.stride): group for group in groups}
-    # 1,600 pixels at most.
+    by_panel = {(group.scene, group.stride): group for group in groups}
+    # At most 1,600 pixels wide.
     size = (min(6.5 * len(strides), 16.0), 3.8 * len(scenes) + 0.4)
     figure = Figure(figsize=size, dpi=100, layout="constrained")
     panels = figure.subplots(len(scenes), len(strides), squeeze=False)
     legend: dict[str, Artist] = {}
     for scene, row in zip(scenes, panels, strict=True):
         for stride, axes in zip(strides, row, strict=True):
-            if (scene, stride) not in known:
+            group = by_panel.get((scene, stride))
+            if group is None:
                 axes.set_axis_off()
                 axes.set_title(f"{scene}, stride {stride}: not trained", fontsize="medium")
                 continue
-            group = known[scene, stride]
-            notes = draw(axes, group, who)
+            notes = draw(axes, group, labels)
             axes.set_title("\n".join([group.title, *notes]), fontsize="medium")
             axes.grid(which="major", alpha=0.3)
             legend |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-    # Of curves inside a panel a legend there would cover some.
+    # Outside, since a legend in a panel would cover curves.
     figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=len(legend))
     return figure
 
 
-def _training(axes: Axes, group: Group, who: Mapping[str, str]) -> list[str]:
-    for name, label in who.items():
-        curves = [run.curve("velocity_mse", name) for run in group.runs]
+def _draw_training(axes: Axes, group: Group, labels: Mapping[str, str]) -> list[str]:
+    for name, label in labels.items():
+        runs = [run.curve("velocity_mse", name) for run in group.runs]
+        curves = pd.concat(runs, axis="columns").sort_index()
         # Lightning counts the first step as 0.
-        _lines(axes, [[(step + 1, value) for step, value in one] for one in curves], name, label)
+        curves.index += 1
+        _plot(axes, curves, name, label)
     trivial = trivial_mse(group)
     if trivial is not None:
-        axes.axhline(
-            trivial,
-            color="#555555",
-            linestyle="--",
-            linewidth=1.2,
-            label="better trivial predictor",
-        )
+        style: dict[str, Any] = {"color": "#555555", "linestyle": "--", "linewidth": 1.2}
+        axes.axhline(trivial, label="better trivial predictor", **style)
     axes.set(xlabel="training step", ylabel="validation velocity_mse, m²/s²", yscale="log")
-    # Within a decade there may be no line between two powers of ten.
+    # Data within one decade may span no major grid line.
     axes.grid(which="minor", axis="y", alpha=0.15)
     return []
 
 
-def _energy(axes: Axes, group: Group, who: Mapping[str, str]) -> list[str]:
-    most, notes = {}, []
-    for name, label in who.items():
-        curves: list[Points] = []
-        for run in group.runs:
-            found = (
-                (time, run.rollout(name, steps, _ENERGY, MOTION))
-                for steps, time in run.times(MOTION).items()
-            )
-            curves.append([(time, value) for time, value in found if value is not None])
-        _lines(axes, curves, name, label, marker="o")
-        values = [value for curve in curves for _, value in curve]
-        most[name] = max(filter(math.isfinite, values), default=0.0)
-        if not all(map(math.isfinite, values)):
+def _draw_energy(axes: Axes, group: Group, labels: Mapping[str, str]) -> list[str]:
+    columns = ["time s", "seed", "predictor", ENERGY]
+    table = group.tables[MOTION].reindex(columns=columns)
+    greatest: dict[str, float] = {}
+    notes = []
+    for name, label in labels.items():
+        rows = table[table["predictor"] == name].drop(columns="predictor")
+        rows = rows.apply(pd.to_numeric, errors="coerce").dropna()
+        curves = rows.pivot_table(ENERGY, "time s", "seed", aggfunc="first")
+        _plot(axes, curves, name, label, marker="o")
+        finite = rows[ENERGY][np.isfinite(rows[ENERGY])]
+        greatest[name] = finite.max() if len(finite) else 0.0
+        if len(finite) < len(rows):
             notes.append(f"{label}: not finite in the end")
-    limit = _ENERGIES * most["truth"] or math.inf
-    beyond = [name for name in who if most[name] > limit]
-    notes += [f"{who[name]}: up to {most[name]:.3g} J/kg" for name in beyond]
-    axes.set_ylim(0, 1.08 * min(limit, max(most.values())) or None)
+    limit = _ENERGIES * greatest["truth"] or math.inf
+    notes += [
+        f"{label}: up to {greatest[name]:.3g} J/kg"
+        for name, label in labels.items()
+        if greatest[name] > limit
+    ]
+    axes.set_ylim(0, 1.08 * min(limit, max(greatest.values())) or None)
     axes.set(xlabel="time since the start, s", ylabel="kinetic energy of the rollout, J/kg")
     return notes
 
 
-def _lines(
-    axes: Axes, curves: Sequence[Points], name: str, label: str, marker: str | None = None
-) -> None:
-    """A thin line a seed, and a thick one for their mean."""
-    known = [curve for curve in curves if curve]
-    if not known:
+def _plot(axes: Axes, curves: pd.DataFrame, name: str, label: str, **style: Any) -> None:
+    """Plot a thin line for each seed (column) and a thick one for their mean."""
+    curves = curves.dropna(axis="columns", how="all")
+    if curves.empty:
         return
-    color = _COLORS[name]
-    for curve in known if len(known) > 1 else ():
-        axes.plot(*_finite(curve), color=color, linewidth=0.8, alpha=0.5)
-    middle = mean_curve(known)
-    if len(middle) == 1:
-        marker = "o"
-    axes.plot(
-        *_finite(middle), color=color, linewidth=2.0, marker=marker, markersize=4, label=label
-    )
-
-
-def _finite(curve: Points) -> tuple[list[float], list[float]]:
-    """What is drawn: a gap where a value is not finite."""
-    values = [value if math.isfinite(value) else math.nan for _, value in curve]
-    return [where for where, _ in curve], values
+    # Values that are not finite leave a gap.
+    curves = curves.where(np.isfinite(curves))
+    if curves.shape[1] > 1:
+        axes.plot(curves.index, curves, color=_COLORS[name], linewidth=0.8, alpha=0.5)
+    if len(curves) == 1:
+        style["marker"] = "o"
+    style |= {"color": _COLORS[name], "linewidth": 2.0, "markersize": 4, "label": label}
+    axes.plot(curves.index, curves.mean(axis="columns", skipna=False), **style)

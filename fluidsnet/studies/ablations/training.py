@@ -1,4 +1,4 @@
-"""One training of the study, in processes of its own: fit, then test, each once."""
+"""Resumable training and test of one composition of configs, as child processes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import final
@@ -18,95 +18,98 @@ import yaml
 
 from fluidsnet.errors import UserError
 
-#: What is to be run, and which stages are done.
+#: File in a run's folder: arguments, hashes of the configs, finished stages.
 NOTE = "study.json"
 _LOCK = "study.lock"
+STAGES = ("fit", "test")
 
 
 @final
 class Training:
-    """Trains and tests one composition of configs; what was done before is not done again.
+    """Train and test one composition of configs; finished stages are not run again.
 
-    A training that was interrupted goes on from its last validation; its batches are drawn anew.
+    An interrupted training resumes from its last validation, with a new order of batches.
 
     Args:
-        folder: of the run; its logs `fit.log` and `test.log` lie there.
-        configs: files, in the order they are composed.
-        arguments: more of `fluidsnet fit`, beside what names the folder.
-        threads: of each process.
+        folder: Folder of the run, with the logs `fit.log` and `test.log`.
+        configs: Config files, in the order of composition.
+        arguments: Further arguments of `fluidsnet fit`; the run's folder is set here.
+        threads: Threads of each process.
 
     Raises:
-        UserError: the folder holds another training, or one that it does not say of what.
+        UserError: The folder holds another training, or weights without a note.
     """
-
-    STAGES = ("fit", "test")
 
     def __init__(
         self, folder: Path, configs: Sequence[Path], arguments: Sequence[str], threads: int
     ) -> None:
-        self.folder, self.threads = folder, threads
-        self.arguments = [*(f"--config={config}" for config in configs), *arguments]
-        self._what = {
-            "arguments": self.arguments,
-            # All that are read: a `base` would be the first one's, and trainer.yaml has none.
+        self.folder = folder
+        self._arguments = [*(f"--config={config}" for config in configs), *arguments]
+        self._identity = {
+            "arguments": self._arguments,
+            # These are all: a `base` counts in the first config only, and trainer.yaml has none.
             "configs": {
                 str(config): hashlib.sha256(config.read_bytes()).hexdigest() for config in configs
             },
         }
+        # Without both limits concurrent trainings wait for each other's cores.
+        limits = dict.fromkeys(("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), str(threads))
+        self._environment = {**os.environ, **limits}
         self._note = folder / NOTE
-        self._done = self._read()
+        self._checkpoint = folder / "checkpoints" / "last.ckpt"
+        self._done = self._read_note()
         self._process: subprocess.Popen[bytes] | None = None
         self._stopped = False
 
     @property
     def done(self) -> bool:
-        """All stages are."""
-        return all(stage in self._done for stage in self.STAGES)
+        """True where all stages are finished."""
+        return all(stage in self._done for stage in STAGES)
 
     def stop(self) -> None:
-        """Ends the stage that another thread runs, and lets none begin."""
+        """Terminate the stage that another thread runs, and start no further one."""
         self._stopped = True
         if self._process is not None:
             self._process.terminate()
 
     def run(self, stage: str) -> None:
-        """Runs a stage, unless it is done.
+        """Run a stage unless it is finished.
 
         Raises:
-            UserError: it ended badly, and its last words say why; or another process runs it,
-                or has run another training in the folder; or it was stopped.
+            UserError: The stage failed, with its last message; it was stopped; or another process
+                uses the folder, or ran another training there.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
-        with self._alone() as lock:
-            # Another process may have been here meanwhile.
-            self._done = self._read()
+        with self._lock() as lock:
+            # Another process may have finished the stage before the lock was taken.
+            self._done = self._read_note()
             if stage in self._done:
                 return
-            self._keep()
+            self._write_note()
             log = self.folder / f"{stage}.log"
-            status = self._wait(stage, lock, log)
+            status = self._execute(stage, lock, log)
             if status < 0:
                 raise UserError(
-                    f"{stage} of {self.folder} was killed by signal {-status}, as for lack of "
-                    "memory."
+                    f"{stage} of {self.folder} was killed by signal {-status}, possibly for lack "
+                    "of memory."
                 )
             if status:
-                raise UserError(f"{stage} of {self.folder} failed: {_last_words(log)} ({log})")
+                raise UserError(f"{stage} of {self.folder} failed: {_last_message(log)} ({log})")
             if stage == "fit":
                 self._check_checkpoint()
             self._done.append(stage)
-            self._keep()
+            self._write_note()
 
-    def _wait(self, stage: str, lock: int, log: Path) -> int:
-        """Runs a stage in a process of its own; the status that it ends with."""
-        with log.open("wb") as words:
+    def _execute(self, stage: str, lock: int, log: Path) -> int:
+        """Run a stage in a child process and return its exit status."""
+        with log.open("wb") as output:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "fluidsnet.main", *self._command(stage)],
-                stdout=words,
+                stdout=output,
                 stderr=subprocess.STDOUT,
                 stdin=subprocess.DEVNULL,
-                env=self._environment(),
-                # It holds the lock, too, should it outlive this process.
+                env=self._environment,
+                # The child keeps the lock if it outlives this process.
                 pass_fds=[lock],
             )
         if self._stopped:
@@ -117,92 +120,81 @@ class Training:
         if stage == "test":
             return ["test", f"--run={self.folder}", "--trainer.enable_progress_bar=false"]
         logger = "--trainer.logger.init_args"
-        words = [
+        resume = [f"--ckpt_path={self._checkpoint}"] if self._checkpoint.exists() else []
+        return [
             "fit",
-            *self.arguments,
+            *self._arguments,
             f"{logger}.save_dir={self.folder.parent}",
             f"{logger}.name={self.folder.name}",
             f"{logger}.version=",
             "--trainer.enable_progress_bar=false",
+            *resume,
         ]
-        last = self._checkpoint
-        return [*words, f"--ckpt_path={last}"] if last.exists() else words
-
-    @property
-    def _checkpoint(self) -> Path:
-        return self.folder / "checkpoints" / "last.ckpt"
 
     def _check_checkpoint(self) -> None:
-        """The last weights are what is tested."""
+        """Check that the weights of the last step were saved, since these are tested."""
+        remedy = "weights are saved at validations, so"
         if not self._checkpoint.exists():
             raise UserError(
-                f"fit of {self.folder} kept no weights: they are kept at validations, so it must "
-                "train for at least --trainer.val_check_interval steps."
+                f"fit of {self.folder} saved no weights: {remedy} it must train for at least "
+                "--trainer.val_check_interval steps."
             )
         config = yaml.safe_load((self.folder / "config.yaml").read_text())
-        # -1 where epochs say when it ends.
+        # -1 where --trainer.max_epochs ends the training.
         steps: int = config["trainer"]["max_steps"]
-        # Of this program's own making, and mapped: the weights are not read.
-        found = torch.load(self._checkpoint, mmap=True, weights_only=False)["global_step"]
-        if found < steps:
+        # The child wrote the file, so it is safe to unpickle; mapped, the weights are not read.
+        saved = torch.load(self._checkpoint, mmap=True, weights_only=False)["global_step"]
+        if saved < steps:
             raise UserError(
-                f"fit of {self.folder} kept the weights of step {found} of {steps}: they are kept "
-                "at validations, so --trainer.max_steps must be a multiple of "
-                "--trainer.val_check_interval."
+                f"fit of {self.folder} saved the weights of step {saved} of {steps}: {remedy} "
+                "--trainer.max_steps must be a multiple of --trainer.val_check_interval."
             )
 
     @contextmanager
-    def _alone(self) -> Iterator[int]:
-        """Holds the folder's lock, a file's descriptor."""
+    def _lock(self) -> Iterator[int]:
+        """Lock the folder; yield the descriptor of the lock file."""
         with (self.folder / _LOCK).open("w") as lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
                 raise UserError(
-                    f"{self.folder} is being trained or tested by another process; wait for it, "
-                    "or end it."
+                    f"{self.folder} is in use by another process that trains or tests; wait for "
+                    "it to end, or end it."
                 ) from error
             yield lock.fileno()
 
-    def _environment(self) -> Mapping[str, str]:
-        # Of both, or those of one wait for those of the other.
-        threads = dict.fromkeys(("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), str(self.threads))
-        return {**os.environ, **threads}
-
-    def _read(self) -> list[str]:
-        """The stages that the note says are done; none where nothing was trained."""
-        otherwise = "name another --output, or delete it."
+    def _read_note(self) -> list[str]:
+        """Return the finished stages; none where nothing was trained."""
+        remedy = f"name another --output, or delete {self.folder}."
         if not self._note.exists():
             if self._checkpoint.exists():
                 raise UserError(
-                    f"{self.folder} holds weights but no {NOTE}, which says of what training; "
-                    f"{otherwise}"
+                    f"{self.folder} holds weights but no {NOTE}, so their training is unknown; "
+                    f"{remedy}"
                 )
             return []
         try:
-            known = json.loads(self._note.read_text())
+            note = json.loads(self._note.read_text())
         except (OSError, ValueError):
-            known = None
-        if not isinstance(known, dict) or not isinstance(known.get("done"), list):
-            raise UserError(
-                f"{self._note} is damaged; name another --output, or delete {self.folder}."
-            )
-        if any(known.get(name) != value for name, value in self._what.items()):
-            if not known["done"] and not self._checkpoint.exists():
-                # It never came to anything, as where an option was mistyped.
+            note = None
+        if not isinstance(note, dict) or not isinstance(note.get("done"), list):
+            raise UserError(f"{self._note} is damaged; {remedy}")
+        if any(note.get(name) != value for name, value in self._identity.items()):
+            if not note["done"] and not self._checkpoint.exists():
+                # That training saved nothing, for example because of a mistyped option.
                 return []
-            raise UserError(f"{self.folder} was trained with other options or configs; {otherwise}")
-        return [stage for stage in self.STAGES if stage in known["done"]]
+            raise UserError(f"{self.folder} was trained with other options or configs; {remedy}")
+        return [stage for stage in STAGES if stage in note["done"]]
 
-    def _keep(self) -> None:
-        """Writes the note; whole, or not at all."""
+    def _write_note(self) -> None:
+        """Write the note atomically."""
         partial = self._note.with_suffix(".partial")
-        partial.write_text(json.dumps({**self._what, "done": self._done}, indent=2))
+        partial.write_text(json.dumps({**self._identity, "done": self._done}, indent=2))
         partial.replace(self._note)
 
 
-def _last_words(log: Path) -> str:
-    """What a process said in the end: its error, in one line, or its last line."""
-    words = log.read_text(errors="replace").strip()
-    _, error, said = f"\n{words}".rpartition("\nfluidsnet: ")
-    return " ".join(said.split()) if error else (words.splitlines() or ["no words"])[-1]
+def _last_message(log: Path) -> str:
+    """Return the error of a process in one line, or the last line of its log."""
+    text = log.read_text(errors="replace").strip()
+    _, found, error = f"\n{text}".rpartition("\nfluidsnet: ")
+    return " ".join(error.split()) if found else (text.splitlines() or ["no output"])[-1]

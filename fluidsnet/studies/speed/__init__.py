@@ -1,0 +1,1 @@
+"""Speed study: time of a network step against the number of particles, and the solver's time."""
