@@ -77,9 +77,6 @@ def inspect_simulation(
 def describe(path: Path) -> str:
     """Return a summary of a file as text.
 
-    Args:
-        path: Path of a data file.
-
     Raises:
         UserError: the file is not valid, or damaged.
     """

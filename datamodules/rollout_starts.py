@@ -42,12 +42,6 @@ class HDF5RolloutStarts(Dataset[RolloutStart]):
         beyond_truth: Keep `steps` where the true states end earlier, also where there is none
             after the start. Without it, a rollout ends at the last true state.
 
-    Attributes:
-        names: Name of the simulation of each start.
-        first: Frame of each start.
-        steps: Number of steps of each rollout.
-        known_steps: Number of steps of each rollout that have a true state.
-
     Raises:
         UserError: a rollout cannot start at one of the frames.
     """

@@ -92,10 +92,7 @@ def simulations(file: h5py.File) -> list[str]:
 
 
 def create_frames(group: h5py.Group, particles: int) -> tuple[h5py.Dataset, h5py.Dataset]:
-    """Create the position and velocity data sets of a group, each (0, particles, 3).
-
-    They are to be resized for each frame.
-    """
+    """Create position and velocity in a group, each (0, particles, 3), to be resized."""
     position, velocity = (
         group.create_dataset(
             name,
@@ -139,11 +136,7 @@ def open_valid(path: Path) -> h5py.File:
 
 
 def validate(path: Path) -> None:
-    """Check the format of a file.
-
-    Raises:
-        UserError: as `open_valid`.
-    """
+    """Raise a `UserError` if a file has another format, as `open_valid` does."""
     open_valid(path).close()
 
 

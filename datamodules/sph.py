@@ -68,23 +68,6 @@ class SPHDataModule(LightningDataModule):
         seed: int = 0,
     ) -> None:
         super().__init__()
-        for name, value, least in (
-            ("voxel_size", voxel_size, 1e-9),
-            ("stride", stride, 1),
-            ("steps", steps, 1),
-            ("sample_every", sample_every, 1),
-            ("batch_size", batch_size, 1),
-            ("rollout_steps", 1 if rollout_steps is None else rollout_steps, 1),
-            ("workers", workers, 0),
-        ):
-            if not value >= least:  # also refuses NaN
-                raise UserError(f"data.{name} is {value}; it must be at least {least}.")
-        first, end = frame_range
-        if first < 0 or (end is not None and end <= first):
-            raise UserError(
-                f"data.frame_range is {frame_range}; it must be a first frame of at least 0, and "
-                "a later frame or null."
-            )
         self.root = Path(root)
         self.voxel_size = voxel_size
         self.stride, self.steps = stride, steps
@@ -92,6 +75,17 @@ class SPHDataModule(LightningDataModule):
         self.batch_size, self.split_by = batch_size, split_by
         self.augmentation, self.rollout_steps = augmentation, rollout_steps
         self.workers, self.seed = workers, seed
+        counts = ("stride", "steps", "sample_every", "batch_size", "rollout_steps")
+        for name, least in {"voxel_size": 1e-9, "workers": 0, **dict.fromkeys(counts, 1)}.items():
+            value = getattr(self, name)
+            if value is not None and not value >= least:  # also refuses NaN
+                raise UserError(f"data.{name} is {value}; it must be at least {least}.")
+        first, end = frame_range
+        if first < 0 or (end is not None and end <= first):
+            raise UserError(
+                f"data.frame_range is {frame_range}; it must be a first frame of at least 0, and "
+                "a later frame or null."
+            )
         self._readers: dict[str, FrameReader] = {}
         self._samples: dict[str, list[Sample]] = {}
 

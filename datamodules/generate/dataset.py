@@ -45,9 +45,8 @@ def generate(
         threads: Solver threads per simulation.
 
     Raises:
-        UserError: processes or threads are below one, the solver is not installed,
-            the folder holds another data set, there are fewer different scenes than
-            simulations, or all simulations of a split failed.
+        UserError: an option is below one, the solver is not installed, the folder holds another
+            data set, there are too few different scenes, or all of a split failed.
     """
     if processes is None:
         processes = os.cpu_count() or 1

@@ -79,10 +79,9 @@ class Recipe:
     def starts(self) -> dict[tuple[str, int], list[Body]]:
         """Draw the bodies of each simulation, by split and number.
 
-        With coarse particles there are few different blocks, and a test simulation that is a
-        mirror image of a training simulation, or within a particle radius of it, would measure
-        memory. So no two starts are mirror images of each other. Where the kind of scene has no
-        other start left, training may have mirror images of its simulations, but no copies.
+        No two starts are mirror images of each other to within a particle radius, since a test
+        on a mirror image of a training simulation would measure memory. Where the kind of scene
+        has no other start left, training may have mirror images, but no copies, of its own.
 
         Raises:
             UserError: the kind of scene has too few different starts.
@@ -104,7 +103,7 @@ class Recipe:
         for split in reversed(SPLITS):
             held_out, wanted = list(drawn.values()), is_new
             for number in range(getattr(self, split)):
-                random = np.random.default_rng(self.entropy(split, number))
+                random = np.random.default_rng(self._entropy(split, number))
                 bodies = self._draw(random, wanted)
                 if bodies is None and split == "train" and wanted is is_new:
                     wanted = is_mirrored_in_training
@@ -126,8 +125,7 @@ class Recipe:
         draws = (self.scene.sample(random, self.particle_radius) for _ in range(_DRAWS))
         return next(filter(wanted, draws), None)
 
-    def entropy(self, split: str, number: int) -> list[int]:
-        """Return the seed of a simulation."""
+    def _entropy(self, split: str, number: int) -> list[int]:
         return [self.seed, SPLITS.index(split), number]
 
     def job(self, split: str, number: int, bodies: list[Body], output: Path, threads: int) -> Job:
@@ -153,7 +151,7 @@ class Recipe:
             solver_step=self.step,
             steps_per_frame=steps_per_frame,
             frames=self.frames,
-            seed=self.entropy(split, number),
+            seed=self._entropy(split, number),
             bodies=bodies,
             threads=threads,
             parameters={**PARAMETERS[self.solver], **(self.solver_parameters or {})},

@@ -18,13 +18,9 @@ class EscapedError(RuntimeError):
 
 
 class Recorder:
-    """Writer of the frames of a running simulation.
+    """Writer of the frames of a simulation, started in the solver, to a group of an open file.
 
-    Args:
-        solver: Module of the solver, with a simulation that is ready to step.
-        job: Settings of the simulation.
-        group: Group of the simulation in a file open for writing.
-        report: File descriptor that gets one line per frame.
+    The file descriptor `report` gets one line per frame.
     """
 
     def __init__(self, solver: ModuleType, job: Job, group: h5py.Group, report: int) -> None:
@@ -59,11 +55,8 @@ class Recorder:
         self.group["solver_seconds"] = np.array(self._solver_seconds)
 
     def _correct_clock(self) -> None:
-        """Check and set the clock of the solver.
-
-        The clock is the sum of the steps in single precision, which drifts by 2 % of a step
-        over the paper's 1,500 steps and by whole steps over more.
-        """
+        # The clock is a sum of steps in single precision, which drifts by 2 % of a step over the
+        # paper's 1,500 steps and by whole steps over more.
         clock, step = self.solver.TimeManager.getCurrent(), self.job.solver_step
         now, due = clock.getTime(), self._steps * step
         if abs(now - due) > 0.01 * step:

@@ -86,12 +86,7 @@ class SceneKind(ABC):
         return np.full(3, clearance), np.array(self.domain, dtype=np.float64) - clearance
 
     def block(self, corner: ArrayLike, edges: ArrayLike, particle_radius: float) -> Block:
-        """Return a block of whole particles inside the walls.
-
-        Args:
-            corner: Lower corner before the block is moved inside, in m.
-            edges: Edges before they are rounded to whole particles, in m.
-            particle_radius: In m.
+        """Return a block of whole particles, with rounded edges and moved inside the walls.
 
         Raises:
             UserError: the domain is too small for such particles.

@@ -22,7 +22,7 @@ from types import ModuleType
 import h5py
 
 from datamodules.generate.job import AKINCI_2012, REGULAR_TRIANGLES, Job, scene_file
-from datamodules.generate.recorder import EscapedError, Recorder
+from datamodules.generate.recorder import Recorder
 from datamodules.generate.scenes import describe
 from datamodules.schema import Header
 from fluidsnet.errors import UserError
@@ -58,11 +58,7 @@ def load_solver() -> ModuleType:
 
 
 def solver_version() -> str:
-    """Return the version of the installed solver.
-
-    Raises:
-        UserError: it is not installed.
-    """
+    """Return the version of the solver; raise a `UserError` if it is not installed."""
     try:
         return metadata.version("pysplishsplash")
     except metadata.PackageNotFoundError as error:
@@ -89,14 +85,8 @@ def simulate(job: Job, report: int) -> None:
             scene = folder / "scene.json"
             scene.write_text(json.dumps(scene_file(job, folder)))
             base = solver.Exec.SimulatorBase()
-            base.init(
-                sceneFile=str(scene),
-                useGui=False,
-                initialPause=False,
-                useCache=False,
-                outputDir=str(folder),
-                stopAt=_NEVER,
-            )
+            options = dict.fromkeys(("useGui", "initialPause", "useCache"), False)
+            base.init(sceneFile=str(scene), outputDir=str(folder), stopAt=_NEVER, **options)
             base.initSimulation()
             # SPlisHSPlasH samples the walls in `runSimulation`. With its clock past the end it
             # does that and no step, so that each step can be timed.
@@ -143,7 +133,7 @@ def main(arguments: list[str]) -> int:
         simulate(job, int(arguments[1]))
     except BrokenPipeError:  # the process that started this one is gone
         return 1
-    except (UserError, EscapedError, RuntimeError) as error:
+    except (UserError, RuntimeError) as error:
         print(error, file=sys.stderr, flush=True)
         return 1
     return 0

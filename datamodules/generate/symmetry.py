@@ -36,12 +36,8 @@ class Symmetries:
         self._axes = np.array([axes for axes, _ in maps])
         self._mirrors = np.array([signs for _, signs in maps]) < 0
 
-    def images(self, bodies: list[Body]) -> NDArray[np.float64]:
-        """Compute the bounding boxes of the bodies under each symmetry.
-
-        Returns:
-            (S, B, 2, 3): lower and upper corner, m, of B bodies under S symmetries.
-        """
+    def _images(self, bodies: list[Body]) -> NDArray[np.float64]:
+        """Return (S, B, 2, 3) lower and upper corners, m, of B bodies under S symmetries."""
         corners = np.array([body.bounds() for body in bodies])
         turned = np.moveaxis(corners[..., self._axes], 2, 0)
         mirrors = self._mirrors[:, None, None]
@@ -55,7 +51,7 @@ class Symmetries:
         """
         if [_form(body) for body in first] != [_form(body) for body in second]:
             return False
-        distances = np.abs(self.images(first) - self.images(second)[0])
+        distances = np.abs(self._images(first) - self._images(second)[0])
         return bool((distances.max(axis=(1, 2, 3)) < distance).any())
 
 
