@@ -34,12 +34,8 @@ class Augmentation(ABC):
 class BoxSymmetry(Augmentation):
     """Mirror each horizontal axis, and swap the two, each with probability one half.
 
-    Together they are the rotations about gravity by quarter turns and their mirror
-    images: all symmetries of the box. The two axes are swapped only where the box is
-    as wide as it is deep.
-
-    Raises:
-        UserError: from `check` and when called, where gravity is not along one axis.
+    Together they are all symmetries of the box under gravity along one axis. The two axes are
+    swapped only where the box is as wide as it is deep.
     """
 
     def check(self, scene: Scene) -> None:
@@ -53,15 +49,12 @@ class BoxSymmetry(Augmentation):
     def __call__(self, sample: Transitions) -> Transitions:
         state, scene = sample.state, sample.state.scene
         self.check(scene)
-        vertical = scene.gravity.abs() > 0
-        first, second = (axis for axis in range(3) if not bool(vertical[axis]))
-        draws = torch.rand(3, device=scene.gravity.device) < 0.5
-        axes = [0, 1, 2]
-        if bool(draws[0]) and bool(torch.isclose(scene.extent[first], scene.extent[second])):
+        first, second = torch.nonzero(scene.gravity == 0).flatten().tolist()
+        swapped, *mirrored = (torch.rand(3, device=scene.gravity.device) < 0.5).tolist()
+        axes, sign = [0, 1, 2], torch.ones(3, device=scene.gravity.device)
+        if swapped and bool(torch.isclose(scene.extent[first], scene.extent[second])):
             axes[first], axes[second] = second, first
-        sign = torch.ones(3, device=scene.gravity.device)
-        sign[first] = -1.0 if bool(draws[1]) else 1.0
-        sign[second] = -1.0 if bool(draws[2]) else 1.0
+        sign[[first, second]] -= 2 * torch.tensor(mirrored, device=sign.device)
         center = (scene.domain_lower + scene.domain_upper) / 2
 
         def turn(velocity: Tensor) -> Tensor:
@@ -70,15 +63,12 @@ class BoxSymmetry(Augmentation):
         def place(position: Tensor) -> Tensor:
             return turn(position - center) + center
 
-        return replace(
-            sample,
-            state=replace(
-                state,
-                position=place(state.position),
-                velocity=turn(state.velocity),
-                solid_position=place(state.solid_position),
-                solid_velocity=turn(state.solid_velocity),
-            ),
-            next_position=place(sample.next_position),
-            next_velocity=turn(sample.next_velocity),
+        state = replace(
+            state,
+            position=place(state.position),
+            velocity=turn(state.velocity),
+            solid_position=place(state.solid_position),
+            solid_velocity=turn(state.solid_velocity),
         )
+        positions, velocities = place(sample.next_position), turn(sample.next_velocity)
+        return replace(sample, state=state, next_position=positions, next_velocity=velocities)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any, SupportsFloat, final
@@ -13,7 +12,7 @@ import h5py
 import torch
 from torch import Tensor
 
-from datamodules.schema import DAMAGE, VECTORS, Header, simulations, validate
+from datamodules.schema import DAMAGE, VECTORS, Header, open_valid, simulations
 from fluidsnet.errors import UserError
 from fluidsnet.particles import Particles
 from fluidsnet.scene import Scene
@@ -37,22 +36,20 @@ class FrameReader:
     """
 
     def __init__(self, path: Path) -> None:
-        validate(path)
         self.path = path
         self._handle: h5py.File | None = None
         self._process = -1
         self._solids: dict[str, Tensor] = {}
         self._scenes: dict[int, Scene] = {}
-        with h5py.File(path, "r") as file:
+        self.frames: dict[str, int] = {}
+        with open_valid(path) as file:
             self.header = Header.read(file)
             for name in simulations(file):
                 if file[name]["solid_position"].ndim == 3:
                     raise UserError(
                         f"{path}: the solids of /{name} move; only solids at rest are supported."
                     )
-            self.frames: Mapping[str, int] = {
-                name: len(file[name]["position"]) for name in simulations(file)
-            }
+                self.frames[name] = len(file[name]["position"])
 
     @cached_property
     def sha256(self) -> str:
@@ -62,26 +59,19 @@ class FrameReader:
 
     def scene(self, stride: int) -> Scene:
         """Return the scene of the file for steps of this many frames, always the same object."""
+        header = self.header
         if stride not in self._scenes:
-            header = self.header
             # Kept for training too, where a tensor made in inference mode cannot be used.
             with torch.inference_mode(False):
-                self._scenes[stride] = Scene(
-                    domain_lower=torch.tensor(header.domain_lower, dtype=torch.float32),
-                    domain_upper=torch.tensor(header.domain_upper, dtype=torch.float32),
-                    gravity=torch.tensor(header.gravity, dtype=torch.float32),
-                    particle_radius=header.particle_radius,
-                    support_radius=header.support_radius,
-                    time_step=header.dt * stride,
+                lower, upper, gravity = (
+                    torch.tensor(getattr(header, name), dtype=torch.float32) for name in VECTORS
                 )
+                radius, support, dt = header.particle_radius, header.support_radius, header.dt
+                self._scenes[stride] = Scene(lower, upper, gravity, radius, support, dt * stride)
         return self._scenes[stride]
 
     def check_same_scene(self, other: FrameReader) -> None:
-        """Check that two files have the same scene and frame interval.
-
-        Raises:
-            UserError: they differ.
-        """
+        """Raise a `UserError` if another file has another scene or frame interval."""
         for name in (*VECTORS, "particle_radius", "support_radius", "dt"):
             value, expected = getattr(self.header, name), getattr(other.header, name)
             if value != expected:
@@ -93,18 +83,15 @@ class FrameReader:
     def fluid(self, simulation: str, frame: int) -> tuple[Tensor, Tensor]:
         """Read position, m, and velocity, m/s, of the fluid particles, each (N, 3)."""
         what = f"frame {frame} of /{simulation}"
-        return (
-            self._read(f"{simulation}/position", frame, what),
-            self._read(f"{simulation}/velocity", frame, what),
-        )
+        position = self._read(f"{simulation}/position", frame, what)
+        return position, self._read(f"{simulation}/velocity", frame, what)
 
     def state(self, simulation: str, frame: int, scene: Scene) -> Particles:
         """Read one frame with its solids."""
         position, velocity = self.fluid(simulation, frame)
         if simulation not in self._solids:
-            self._solids[simulation] = self._read(
-                f"{simulation}/solid_position", (), f"the solids of /{simulation}"
-            )
+            what = f"the solids of /{simulation}"
+            self._solids[simulation] = self._read(f"{simulation}/solid_position", (), what)
         return Particles.single(position, velocity, self._solids[simulation], scene)
 
     def close(self) -> None:

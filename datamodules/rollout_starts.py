@@ -15,16 +15,9 @@ from fluidsnet.particles import RolloutStart
 
 @final
 class SimulationTruth:
-    """True states of a simulation, a stride apart, read one at a time.
+    """True states of a simulation, from a frame on and a stride apart, read one at a time."""
 
-    Args:
-        reader: Reader of the file.
-        simulation: Name of the simulation.
-        stride: Frames from a state to the next.
-        first: Frame of the first state.
-    """
-
-    def __init__(self, reader: FrameReader, simulation: str, stride: int, first: int = 0) -> None:
+    def __init__(self, reader: FrameReader, simulation: str, stride: int, first: int) -> None:
         self.reader, self.simulation = reader, simulation
         self.stride, self.first = stride, first
 
@@ -48,12 +41,6 @@ class HDF5RolloutStarts(Dataset[RolloutStart]):
         simulations: Number of simulations, from the first in the file; all by default.
         beyond_truth: Keep `steps` where the true states end earlier, also where there is none
             after the start. Without it, a rollout ends at the last true state.
-
-    Attributes:
-        names: Name of the simulation of each start.
-        first: Frame of each start.
-        steps: Number of steps of each rollout.
-        known_steps: Number of steps of each rollout that have a true state.
 
     Raises:
         UserError: a rollout cannot start at one of the frames.

@@ -46,34 +46,20 @@ _FLOATS = ("particle_radius", "support_radius", "dt", "density0", "viscosity")
 
 @dataclass(frozen=True)
 class Header:
-    """Attributes of a file.
+    """Attributes of a file."""
 
-    Attributes:
-        scene: Name of the scene kind.
-        solver: Name of the pressure solver.
-        solver_version: Version of the solver's program.
-        solver_parameters: Parameters of the solver, under the solver's names.
-        domain_lower, domain_upper: Corners of the box, m.
-        gravity: m/s².
-        particle_radius: m.
-        support_radius: m, four particle radii.
-        dt: Time between two frames, s.
-        density0: Rest density, kg/m³.
-        viscosity: Viscosity coefficient of the solver.
-    """
-
-    scene: str
+    scene: str  # name of the scene kind
     solver: str
     solver_version: str
-    solver_parameters: dict[str, Any]
-    domain_lower: tuple[float, float, float]
+    solver_parameters: dict[str, Any]  # under the solver's names
+    domain_lower: tuple[float, float, float]  # corner of the box, m
     domain_upper: tuple[float, float, float]
-    gravity: tuple[float, float, float]
-    particle_radius: float
-    support_radius: float
-    dt: float
-    density0: float
-    viscosity: float
+    gravity: tuple[float, float, float]  # m/s²
+    particle_radius: float  # m
+    support_radius: float  # m, four particle radii
+    dt: float  # time between two frames, s
+    density0: float  # rest density, kg/m³
+    viscosity: float  # coefficient of the solver
 
     def write(self, file: h5py.File) -> None:
         """Write the attributes to an open file."""
@@ -94,11 +80,9 @@ class Header:
             value = file.attrs[field.name]
             if field.name == "solver_parameters":
                 value = json.loads(value)
-            elif field.name in VECTORS:
-                value = tuple(float(component) for component in value)
-            elif field.name in _FLOATS:
-                value = float(value)
-            values[field.name] = value
+            elif field.name in (*VECTORS, *_FLOATS):
+                value = np.asarray(value, dtype=np.float64).tolist()
+            values[field.name] = tuple(value) if field.name in VECTORS else value
         return cls(**values)
 
 
@@ -108,15 +92,7 @@ def simulations(file: h5py.File) -> list[str]:
 
 
 def create_frames(group: h5py.Group, particles: int) -> tuple[h5py.Dataset, h5py.Dataset]:
-    """Create the position and velocity data sets of a group, with no frame yet.
-
-    Args:
-        group: Group of one simulation.
-        particles: Number of fluid particles.
-
-    Returns:
-        Position and velocity, each (0, particles, 3), to be resized for each frame.
-    """
+    """Create position and velocity in a group, each (0, particles, 3), to be resized."""
     position, velocity = (
         group.create_dataset(
             name,
@@ -132,21 +108,11 @@ def create_frames(group: h5py.Group, particles: int) -> tuple[h5py.Dataset, h5py
 
 
 def open_valid(path: Path) -> h5py.File:
-    """Open a file for reading after `validate`.
+    """Open a file for reading and check its format, without reading particle data.
 
     Raises:
-        UserError: as `validate`.
-    """
-    validate(path)
-    return h5py.File(path, "r")
-
-
-def validate(path: Path) -> None:
-    """Check that a file has the format of this module, without reading particle data.
-
-    Raises:
-        UserError: it has not; the message names the file, the group, the data set and the
-            expected value.
+        UserError: it has another format; the message names the file, the group, the data set
+            and the expected value.
     """
     if not path.is_file():
         raise UserError(f"{path}: there is no such file; make it with `fluidsnet generate`.")
@@ -156,79 +122,75 @@ def validate(path: Path) -> None:
         raise UserError(
             f"{path}: not a whole HDF5 file (damaged, truncated, or of another format): {error}."
         ) from error
-    with file:
-        try:
-            _validate_header(path, file)
-            names = simulations(file)
-            if not names:
-                raise UserError(f"{path}: no simulation in it; expected groups such as /00000.")
-            for name in names:
-                _validate_simulation(path, file[name])
-        except DAMAGE as error:
-            raise UserError(f"{path}: the file is damaged: {error}.") from error
+    try:
+        _check_header(file)
+        if not simulations(file):
+            raise UserError("no simulation in it; expected groups such as /00000.")
+        for name in simulations(file):
+            _check_simulation(file[name])
+    except (UserError, *DAMAGE) as error:
+        file.close()
+        text = error if isinstance(error, UserError) else f"the file is damaged: {error}."
+        raise UserError(f"{path}: {text}") from error
+    return file
 
 
-def _validate_header(path: Path, file: h5py.File) -> None:
+def validate(path: Path) -> None:
+    """Raise a `UserError` if a file has another format, as `open_valid` does."""
+    open_valid(path).close()
+
+
+def _check_header(file: h5py.File) -> None:
     version = file.attrs.get("schema_version")
     if version is None:
-        raise UserError(
-            f"{path}: the attribute schema_version is missing; it is not a FluidsNet data file."
-        )
+        raise UserError("the attribute schema_version is missing; it is not a FluidsNet data file.")
     if version != SCHEMA_VERSION:
-        raise UserError(f"{path}: schema_version is {version}; FluidsNet reads {SCHEMA_VERSION}.")
+        raise UserError(f"schema_version is {version}; FluidsNet reads {SCHEMA_VERSION}.")
     for field in fields(Header):
         if field.name not in file.attrs:
-            raise UserError(f"{path}: the attribute {field.name} is missing.")
+            raise UserError(f"the attribute {field.name} is missing.")
     for names, shape, expected in ((VECTORS, (3,), "three numbers"), (_FLOATS, (), "one number")):
         for name in names:
             value = np.asarray(file.attrs[name])
             if not np.issubdtype(value.dtype, np.number) or value.shape != shape:
-                raise UserError(f"{path}: the attribute {name} must be {expected}.")
+                raise UserError(f"the attribute {name} must be {expected}.")
     try:
-        json.loads(file.attrs["solver_parameters"])
+        header = Header.read(file)
     except (TypeError, ValueError) as error:
-        raise UserError(f"{path}: the attribute solver_parameters must be JSON.") from error
-    if not np.all(np.asarray(file.attrs["domain_upper"]) > file.attrs["domain_lower"]):
-        raise UserError(f"{path}: domain_upper must be above domain_lower on every axis.")
+        raise UserError("the attribute solver_parameters must be JSON.") from error
+    if not np.greater(header.domain_upper, header.domain_lower).all():
+        raise UserError("domain_upper must be above domain_lower on every axis.")
     for name in ("particle_radius", "support_radius", "dt"):
-        if not float(file.attrs[name]) > 0:
-            raise UserError(f"{path}: the attribute {name} must be above zero.")
+        if not getattr(header, name) > 0:
+            raise UserError(f"the attribute {name} must be above zero.")
 
 
-def _validate_simulation(path: Path, group: h5py.Group) -> None:
-    where = f"{path}: {group.name}"
-    position = _dataset(where, group, "position")
-    if position.ndim != 3 or position.shape[2] != 3:
-        raise UserError(f"{where}/position has shape {position.shape}; expected (T, N, 3).")
-    frames, particles = position.shape[:2]
-    if frames == 0 or particles == 0:
+def _check_simulation(group: h5py.Group) -> None:
+    def shape(name: str, *expected: int) -> tuple[int, ...]:
+        dataset, where = group.get(name), f"{group.name}/{name}"
+        if not isinstance(dataset, h5py.Dataset):
+            raise UserError(f"{group.name}: the data set {name} is missing.")
+        if dataset.dtype.kind != "f":
+            raise UserError(f"{where} holds {dataset.dtype}; expected floating-point numbers.")
+        if expected and dataset.shape != expected:
+            raise UserError(f"{where} has shape {dataset.shape}; expected {expected}.")
+        found: tuple[int, ...] = dataset.shape
+        return found
+
+    position = shape("position")
+    if len(position) != 3 or position[2] != 3 or 0 in position:
         raise UserError(
-            f"{where}/position has shape {position.shape}; "
-            "expected at least one frame and one particle."
+            f"{group.name}/position has shape {position}; expected (T, N, 3), with at least one "
+            "frame and one particle."
         )
-    _expect_shape(where, group, "velocity", (frames, particles, 3))
-    _expect_shape(where, group, "time", (frames,))
-    _expect_shape(where, group, "solver_seconds", (frames,))
-    solid = _dataset(where, group, "solid_position")
-    if solid.ndim == 3:
-        _expect_shape(where, group, "solid_position", (frames, solid.shape[1], 3))
-        _expect_shape(where, group, "solid_velocity", (frames, solid.shape[1], 3))
-    elif solid.ndim != 2 or solid.shape[1] != 3:
+    shape("velocity", *position)
+    shape("time", position[0])
+    shape("solver_seconds", position[0])
+    solid = shape("solid_position")
+    if len(solid) == 3:
+        shape("solid_position", position[0], solid[1], 3)
+        shape("solid_velocity", position[0], solid[1], 3)
+    elif len(solid) != 2 or solid[1] != 3:
         raise UserError(
-            f"{where}/solid_position has shape {solid.shape}; expected (M, 3) or (T, M, 3)."
+            f"{group.name}/solid_position has shape {solid}; expected (M, 3) or (T, M, 3)."
         )
-
-
-def _dataset(where: str, group: h5py.Group, name: str) -> h5py.Dataset:
-    dataset = group.get(name)
-    if not isinstance(dataset, h5py.Dataset):
-        raise UserError(f"{where}: the data set {name} is missing.")
-    if dataset.dtype.kind != "f":
-        raise UserError(f"{where}/{name} holds {dataset.dtype}; expected floating-point numbers.")
-    return dataset
-
-
-def _expect_shape(where: str, group: h5py.Group, name: str, shape: tuple[int, ...]) -> None:
-    found = _dataset(where, group, name).shape
-    if found != shape:
-        raise UserError(f"{where}/{name} has shape {found}; expected {shape}.")

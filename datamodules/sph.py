@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import random
 from collections.abc import Sequence
 from functools import cached_property
@@ -69,23 +68,6 @@ class SPHDataModule(LightningDataModule):
         seed: int = 0,
     ) -> None:
         super().__init__()
-        for name, value, least in (
-            ("voxel_size", voxel_size, 1e-9),
-            ("stride", stride, 1),
-            ("steps", steps, 1),
-            ("sample_every", sample_every, 1),
-            ("batch_size", batch_size, 1),
-            ("rollout_steps", 1 if rollout_steps is None else rollout_steps, 1),
-            ("workers", workers, 0),
-        ):
-            if not value >= least:  # also refuses NaN
-                raise UserError(f"data.{name} is {value}; it must be at least {least}.")
-        first, end = frame_range
-        if first < 0 or (end is not None and end <= first):
-            raise UserError(
-                f"data.frame_range is {frame_range}; it must be a first frame of at least 0, and "
-                "a later frame or null."
-            )
         self.root = Path(root)
         self.voxel_size = voxel_size
         self.stride, self.steps = stride, steps
@@ -93,6 +75,17 @@ class SPHDataModule(LightningDataModule):
         self.batch_size, self.split_by = batch_size, split_by
         self.augmentation, self.rollout_steps = augmentation, rollout_steps
         self.workers, self.seed = workers, seed
+        counts = ("stride", "steps", "sample_every", "batch_size", "rollout_steps")
+        for name, least in {"voxel_size": 1e-9, "workers": 0, **dict.fromkeys(counts, 1)}.items():
+            value = getattr(self, name)
+            if value is not None and not value >= least:  # also refuses NaN
+                raise UserError(f"data.{name} is {value}; it must be at least {least}.")
+        first, end = frame_range
+        if first < 0 or (end is not None and end <= first):
+            raise UserError(
+                f"data.frame_range is {frame_range}; it must be a first frame of at least 0, and "
+                "a later frame or null."
+            )
         self._readers: dict[str, FrameReader] = {}
         self._samples: dict[str, list[Sample]] = {}
 
@@ -117,11 +110,9 @@ class SPHDataModule(LightningDataModule):
     @property
     def grid_shape(self) -> tuple[int, int, int]:
         """Cells of the background grid along x, y and z: the fewest that cover the domain."""
-        x, y, z = (
-            # The tolerance keeps 1.5 / 0.1 from becoming 16 by rounding.
-            max(1, math.ceil(float(edge) / self.voxel_size - 1e-4))
-            for edge in self.scene.extent
-        )
+        # The tolerance keeps 1.5 / 0.1 from becoming 16 by rounding.
+        cells = torch.ceil(self.scene.extent.double() / self.voxel_size - 1e-4).clamp_min(1)
+        x, y, z = cells.int().tolist()
         return x, y, z
 
     @cached_property
@@ -130,20 +121,13 @@ class SPHDataModule(LightningDataModule):
         return statistics(self._dataset("train", steps=1))
 
     def identity(self, split: str) -> dict[str, Any]:
-        """Return plain JSON values that identify the data of a split.
+        """Return plain JSON values that identify the data of a split (`train`, `val`, `test`).
 
         Where `split_by` is `frame`, `file` and `sha256` list all files of the data set.
-
-        Args:
-            split: `train`, `val` or `test`.
-
-        Raises:
-            UserError: the file is missing or unusable.
         """
-        names, options = [split], {}
+        names = [split]
         if self.split_by == "frame":
             names = [name for name in SPLITS if (self.root / f"{name}.h5").exists()] or names
-            options = {"split_by": self.split_by, "seed": self.seed}
         readers = [self._reader(name) for name in names]
         return {
             "root": str(self.root),
@@ -155,24 +139,19 @@ class SPHDataModule(LightningDataModule):
             "sample_every": self.sample_every,
             "simulations": sum(len(reader.frames) for reader in readers),
             "frames": sum(sum(reader.frames.values()) for reader in readers),
-            **options,
+            **({"split_by": "frame", "seed": self.seed} if self.split_by == "frame" else {}),
         }
 
     # Hooks of Lightning.
 
     def setup(self, stage: str) -> None:
-        needed = {
-            "fit": ("train", "val"),
-            "validate": ("val",),
-            "test": ("test",),
-            "predict": ("test",),
-        }[stage]
+        splits = {"fit": ("train", "val"), "validate": ("val",)}.get(stage, ("test",))
         # Split by frame, the samples of each split come from these two files.
         dealt = self.split_by == "frame" and stage != "predict"
-        for split in ("train", "val") if dealt else needed:
+        for split in ("train", "val") if dealt else splits:
             self._reader(split).check_same_scene(next(iter(self._readers.values())))
         if stage != "predict":
-            for split in needed:
+            for split in splits:
                 self._samples_of(split)
         if stage == "fit" and self.augmentation is not None:
             self.augmentation.check(self.scene)
@@ -198,20 +177,11 @@ class SPHDataModule(LightningDataModule):
         simulations: int | None = None,
         beyond_truth: bool = False,
     ) -> HDF5RolloutStarts:
-        """Return rollout starts in the simulations of a file, with their true states.
+        """Return rollout starts in val.h5 or test.h5, with their true states.
 
-        The file is val.h5 or test.h5, also where `split_by` is `frame`: val.h5 is then not
-        held out.
+        It is that file also where `split_by` is `frame`: val.h5 is then not held out.
 
-        Args:
-            split: `val` or `test`.
-            frames: Where rollouts start, as for `HDF5RolloutStarts`.
-            steps: Number of steps of each rollout; by default up to the last true state.
-            simulations: Number of simulations, from the first in the file; all by default.
-            beyond_truth: Keep `steps` where the true states end earlier.
-
-        Raises:
-            UserError: a rollout cannot start at one of the frames.
+        The options are those of `HDF5RolloutStarts`.
         """
         return HDF5RolloutStarts(
             self._reader(split), self.stride, frames, steps, simulations, beyond_truth
@@ -253,10 +223,18 @@ class SPHDataModule(LightningDataModule):
         return self._readers[split]
 
     def _samples_of(self, split: str) -> list[Sample]:
-        if not self._samples:
-            self._samples = self._deal() if self.split_by == "frame" else {}
         if split not in self._samples:
-            self._samples[split] = self._in_file(split, self._steps(split))
+            names = ("train", "val") if self.split_by == "frame" else (split,)
+            span = self.stride * self._steps(names[0])
+            readers = [self._reader(name) for name in names]
+            samples = samples_in(readers, span, self.frame_range, self.sample_every)
+            if self.split_by == "frame":
+                random.Random(self.seed).shuffle(samples)
+                cut = round(0.8 * len(samples))
+                train, held_out = samples[:cut], samples[cut:]
+                self._samples = {"train": train, "val": held_out, "test": held_out}
+            else:
+                self._samples[split] = samples
         if not self._samples[split]:
             raise UserError(
                 f"{self.root}: no sample for {split}: no simulation has "
@@ -268,13 +246,3 @@ class SPHDataModule(LightningDataModule):
     def _steps(self, split: str) -> int:
         """Return the next states per sample; validation and test always take one."""
         return self.steps if split == "train" else 1
-
-    def _in_file(self, split: str, steps: int) -> list[Sample]:
-        span = steps * self.stride
-        return samples_in(self._reader(split), span, self.frame_range, self.sample_every)
-
-    def _deal(self) -> dict[str, list[Sample]]:
-        samples = self._in_file("train", self.steps) + self._in_file("val", self.steps)
-        random.Random(self.seed).shuffle(samples)
-        cut = round(0.8 * len(samples))
-        return {"train": samples[:cut], "val": samples[cut:], "test": samples[cut:]}

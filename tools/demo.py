@@ -15,8 +15,8 @@ RUN = Path("runs") / "demo"
 def fluidsnet(*arguments: str) -> None:
     """Print and run a `fluidsnet` command; exit if it fails."""
     print(f"\n$ fluidsnet {' '.join(arguments)}", flush=True)
-    program = [sys.executable, "-m", "fluidsnet.main"]
-    status = subprocess.run([*program, *arguments], cwd=ROOT, check=False).returncode
+    program = [sys.executable, "-m", "fluidsnet.main", *arguments]
+    status = subprocess.run(program, cwd=ROOT, check=False).returncode
     if status != 0:
         sys.exit(f"The demo stops here: the command above failed with status {status}.")
 
@@ -37,7 +37,6 @@ def reason_against_the_solver() -> str | None:
 def main() -> None:
     """Run the demo in the repository's root."""
     started = time.monotonic()
-    configs = ["configs/trainer.yaml", "configs/model/field.yaml"]
     reason = reason_against_the_solver()
     if reason is None:
         fluidsnet("generate", "--config", "configs/scene/demo.yaml", "--root", "data/demo")
@@ -46,11 +45,10 @@ def main() -> None:
         print(f"The solver cannot run here: {reason}")
         print("The demo goes on with the small sample that ships with the tests.")
         data = "sample"
-    configs.append(f"configs/data/{data}.yaml")
     generated = time.monotonic()
     shutil.rmtree(ROOT / RUN, ignore_errors=True)
-    options = [f"--config={config}" for config in [*configs, "configs/demo.yaml"]]
-    fluidsnet("fit", *options)
+    configs = ("trainer", "model/field", f"data/{data}", "demo")
+    fluidsnet("fit", *(f"--config=configs/{config}.yaml" for config in configs))
     trained = time.monotonic()
     fluidsnet("test", "--run", str(RUN))
     fluidsnet("predict", "--run", str(RUN))

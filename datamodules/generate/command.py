@@ -45,10 +45,7 @@ def _parser() -> ArgumentParser:
     parser.add_argument("--config", action="config", help="config file, such as in configs/scene")
     parser.add_argument("--root", type=str, required=True, help="folder of the data set")
     parser.add_argument(
-        "--processes",
-        type=int,
-        default=None,
-        help="simulations at the same time; by default the number of cores",
+        "--processes", type=int, help="simulations at the same time; by default one a core"
     )
     parser.add_argument("--threads", type=int, default=1, help="solver threads per simulation")
     parser.add_class_arguments(Recipe, "recipe")

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-import selectors
 import shutil
 import subprocess
 import sys
 import tempfile
-import time
-from collections import deque
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
+from typing import NamedTuple
 
 import h5py
 
@@ -24,8 +22,7 @@ from fluidsnet.errors import UserError
 from fluidsnet.progress import Progress
 
 
-@dataclass(frozen=True)
-class Failure:
+class Failure(NamedTuple):
     """Name, seed and reason of a simulation that failed."""
 
     name: str
@@ -33,44 +30,13 @@ class Failure:
     reason: str
 
 
-class _Worker:
-    """Running solver process."""
-
-    def __init__(self, name: str, job: Job, folder: Path) -> None:
-        self.name, self.job = name, job
-        self.log = folder / f"{name}.log"
-        job_file = folder / f"{name}.json"
-        job_file.write_text(job.to_json())
-        self.reports, write_end = os.pipe()
-        # Threads that spin while they wait, the default, slow down a busy machine thirtyfold.
-        openmp = {"OMP_NUM_THREADS": str(job.threads), "OMP_WAIT_POLICY": "passive"}
-        with self.log.open("wb") as log:
-            self.process = subprocess.Popen(
-                [sys.executable, "-m", "datamodules.generate.solver", job_file, str(write_end)],
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                stdin=subprocess.DEVNULL,
-                pass_fds=[write_end],
-                env={**os.environ, **openmp},
-            )
-        os.close(write_end)
-        self.frames = 0
-
-    def failure(self) -> Failure:
-        """Return the exit status and the last output of the process as a failure."""
-        output = self.log.read_text(errors="replace").splitlines()
-        lines = [line.strip() for line in output if line.strip()][-2:]
-        status = self.process.returncode
-        reason = f"killed by signal {-status}" if status < 0 else f"exit status {status}"
-        return Failure(self.name, self.job.seed, ": ".join([reason, *lines]))
-
-
 def generate(
     recipe: Recipe, root: Path, processes: int | None = None, threads: int = 1
 ) -> list[Failure]:
     """Write ``train.h5``, ``val.h5`` and ``test.h5`` to a folder.
 
-    Complete simulations of an interrupted call are kept; only missing ones are run.
+    Complete simulations of an interrupted call are kept; only missing ones are run. Returns the
+    simulations that failed; they are not in the data set.
 
     Args:
         recipe: Settings of the data set.
@@ -78,13 +44,9 @@ def generate(
         processes: Simulations at the same time; the number of cores by default.
         threads: Solver threads per simulation.
 
-    Returns:
-        The simulations that failed; they are not in the data set.
-
     Raises:
-        UserError: processes or threads are below one, the solver is not installed,
-            the folder holds another data set, there are fewer different scenes than
-            simulations, or all simulations of a split failed.
+        UserError: an option is below one, the solver is not installed, the folder holds another
+            data set, there are too few different scenes, or all of a split failed.
     """
     if processes is None:
         processes = os.cpu_count() or 1
@@ -99,17 +61,22 @@ def generate(
         split: [parts / f"{split}-{number:05d}.h5" for number in range(getattr(recipe, split))]
         for split in SPLITS
     }
-    waiting = deque(
-        (output.stem, recipe.job(split, number, starts[split, number], output, threads))
+    waiting = {
+        output.stem: recipe.job(split, number, starts[split, number], output, threads)
         for split, outputs in wanted.items()
         if not (root / f"{split}.h5").exists()
         for number, output in enumerate(outputs)
         if not output.exists()
-    )
+    }
     if not waiting and not parts.exists():
         return []
     parts.mkdir(exist_ok=True)
-    _sweep(parts)
+    # A killed call may have left scratch folders and partial files.
+    for path in parts.iterdir():
+        if path.is_dir():
+            shutil.rmtree(path)
+        elif path.suffix != ".h5":
+            path.unlink()
     total = sum(map(len, wanted.values())) * recipe.frames
     done = total - len(waiting) * recipe.frames
     with (
@@ -123,23 +90,11 @@ def generate(
     return failures
 
 
-def _sweep(parts: Path) -> None:
-    """Remove scratch folders and partial files of a killed call; keep complete simulations."""
-    for path in parts.iterdir():
-        if path.is_dir():
-            shutil.rmtree(path)
-        elif path.suffix != ".h5":
-            path.unlink()
-
-
 def _claim(root: Path, recipe: Recipe) -> None:
     """Write the recipe to the folder, or check that it equals the one already there."""
     note = root / "recipe.json"
-    described = {
-        **{name: value for name, value in vars(recipe).items() if name != "scene"},
-        "scene": type(recipe.scene).__name__,
-        **{f"scene.{name}": value for name, value in vars(recipe.scene).items()},
-    }
+    scene = {f"scene.{name}": value for name, value in vars(recipe.scene).items()}
+    described = {**vars(recipe), "scene": type(recipe.scene).__name__, **scene}
     text = json.dumps(described, indent=2, default=str, sort_keys=True)
     root.mkdir(parents=True, exist_ok=True)
     if note.exists():
@@ -154,45 +109,61 @@ def _claim(root: Path, recipe: Recipe) -> None:
         note.write_text(text)
 
 
-def _run(
-    waiting: deque[tuple[str, Job]], scratch: Path, processes: int, bar: Progress
-) -> list[Failure]:
-    """Run the jobs, at most `processes` at the same time, and update the bar for each frame."""
+def _run(jobs: dict[str, Job], scratch: Path, processes: int, bar: Progress) -> list[Failure]:
+    """Run the jobs, at most `processes` at the same time."""
     failures: list[Failure] = []
-    with selectors.DefaultSelector() as selector:
-        running: list[_Worker] = []
+    running: set[subprocess.Popen[bytes]] = set()
+    with ThreadPoolExecutor(processes) as pool:
+        futures = [pool.submit(_simulate, *job, scratch, bar, running) for job in jobs.items()]
         try:
-            while waiting or running:
-                while waiting and len(running) < processes:
-                    worker = _Worker(*waiting.popleft(), scratch)
-                    selector.register(worker.reports, selectors.EVENT_READ, worker)
-                    running.append(worker)
-                for key, _ in selector.select():
-                    worker = key.data
-                    lines = os.read(worker.reports, 65536)
-                    if lines:
-                        worker.frames += lines.count(b"\n")
-                        bar.update(lines.count(b"\n"))
-                        continue
-                    selector.unregister(worker.reports)
-                    os.close(worker.reports)
-                    running.remove(worker)
-                    worker.process.wait()
-                    if worker.process.returncode != 0:
-                        failures.append(failure := worker.failure())
-                        bar.write(
-                            f"{failure.name} (seed {failure.seed}) failed and is left out: "
-                            f"{failure.reason}",
-                            file=sys.stderr,
-                        )
-                        bar.update(worker.job.frames - worker.frames)
+            for future in as_completed(futures):
+                if failure := future.result():
+                    failures.append(failure)
+                    bar.write(
+                        f"{failure.name} (seed {failure.seed}) failed and is left out: "
+                        f"{failure.reason}",
+                        file=sys.stderr,
+                    )
         finally:
-            for worker in running:
-                worker.process.terminate()
-            deadline = time.monotonic() + 5
-            for worker in running:
-                worker.process.wait(max(deadline - time.monotonic(), 0.1))
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in [*running]:
+                process.terminate()
     return failures
+
+
+def _simulate(
+    name: str, job: Job, scratch: Path, bar: Progress, running: set[subprocess.Popen[bytes]]
+) -> Failure | None:
+    """Run a job in a process of the solver, and advance the bar for each frame."""
+    log, job_file = scratch / f"{name}.log", scratch / f"{name}.json"
+    job_file.write_text(job.to_json())
+    read_end, write_end = os.pipe()
+    # Threads that spin while they wait, the default, slow down a busy machine thirtyfold.
+    openmp = {"OMP_NUM_THREADS": str(job.threads), "OMP_WAIT_POLICY": "passive"}
+    with log.open("wb") as output:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "datamodules.generate.solver", job_file, str(write_end)],
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            stdin=subprocess.DEVNULL,
+            pass_fds=[write_end],
+            env={**os.environ, **openmp},
+        )
+    running.add(process)
+    os.close(write_end)
+    frames = 0
+    with open(read_end) as reports:
+        for _ in reports:
+            frames += 1
+            bar.update()
+    status = process.wait()
+    running.discard(process)
+    if status == 0:
+        return None
+    bar.update(job.frames - frames)
+    lines = [line.strip() for line in log.read_text(errors="replace").splitlines()]
+    reason = f"killed by signal {-status}" if status < 0 else f"exit status {status}"
+    return Failure(name, job.seed, ": ".join([reason, *list(filter(None, lines))[-2:]]))
 
 
 def _join(target: Path, sources: list[Path], failures: list[Failure]) -> None:
@@ -211,9 +182,6 @@ def _join(target: Path, sources: list[Path], failures: list[Failure]) -> None:
     with h5py.File(partial, "w") as file:
         for source in sources:
             with h5py.File(source, "r") as part:
-                if not file.attrs:
-                    for name, value in part.attrs.items():
-                        file.attrs[name] = value
-                number = source.stem.rpartition("-")[2]
-                part.copy("00000", file, name=number)
+                file.attrs.update(part.attrs)
+                part.copy("00000", file, name=source.stem.rpartition("-")[2])
     partial.replace(target)

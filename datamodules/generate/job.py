@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from datamodules.generate.mesh import write_box, write_drop
-from datamodules.generate.scenes import Block, Body, Drop, Vector, describe
+from datamodules.generate.scenes import Block, Body, Drop, describe
+from datamodules.schema import Header
 
 SolverName = Literal["WCSPH", "PCISPH", "IISPH", "DFSPH"]
 
 #: SPlisHSPlasH's numbers of its pressure solvers.
-_METHODS: dict[SolverName, int] = {"WCSPH": 0, "PCISPH": 1, "IISPH": 3, "DFSPH": 4}
+METHODS: dict[str, int] = {"WCSPH": 0, "PCISPH": 1, "IISPH": 3, "DFSPH": 4}
 
 #: Default parameters of each pressure solver, from the example scenes of SPlisHSPlasH: the
 #: tolerance in per cent of the rest density, and the stiffness of WCSPH. With SPlisHSPlasH's
@@ -37,41 +38,17 @@ REGULAR_TRIANGLES = 1
 
 @dataclass(frozen=True)
 class Job:
-    """Settings of one simulation.
+    """Settings of one simulation."""
 
-    Attributes:
-        output: File to write once the simulation is complete.
-        scene: Name of the scene kind.
-        solver: Pressure solver.
-        domain: Edges of the box, m; its lower corner is the origin.
-        particle_radius: m.
-        gravity: m/s².
-        density0: Rest density, kg/m³.
-        viscosity: Coefficient of the solver's standard viscosity.
-        solver_step: Time step of the solver, s.
-        steps_per_frame: Solver steps between two stored frames.
-        frames: Number of stored frames, the start included.
-        seed: Seed of the random generator that drew the scene.
-        bodies: Fluid at the start.
-        threads: OpenMP threads.
-        parameters: Parameters of the pressure solver, under SPlisHSPlasH's names.
-    """
-
-    output: str
-    scene: str
-    solver: SolverName
-    domain: Vector
-    particle_radius: float
-    gravity: Vector
-    density0: float
-    viscosity: float
-    solver_step: float
-    steps_per_frame: int
-    frames: int
-    seed: list[int]
-    bodies: list[Body]
-    threads: int
-    parameters: dict[str, float] = field(default_factory=dict)
+    output: str  # file to write once the simulation is complete
+    header: Header  # attributes of the file, without those that only the solver's process knows
+    solver_step: float  # time step of the solver, s
+    steps_per_frame: int  # solver steps between two stored frames
+    frames: int  # number of stored frames, the start included
+    seed: list[int]  # of the random generator that drew the scene
+    bodies: list[Body]  # fluid at the start
+    threads: int  # OpenMP threads
+    parameters: dict[str, float]  # of the pressure solver, under SPlisHSPlasH's names
 
     def to_json(self) -> str:
         """Return the job as JSON text."""
@@ -82,20 +59,16 @@ class Job:
         """Return the job that `to_json` wrote."""
         values = json.loads(text)
         shapes = {"block": Block, "drop": Drop}
+        values["header"] = Header(**values["header"])
         values["bodies"] = [shapes[body.pop("shape")](**body) for body in values["bodies"]]
         return cls(**values)
 
 
 def scene_file(job: Job, folder: Path) -> dict[str, Any]:
-    """Return a job as a SPlisHSPlasH scene, and write the meshes it needs.
-
-    Args:
-        job: Settings of the simulation.
-        folder: Folder for the meshes.
-    """
-    radius = job.particle_radius
+    """Return a job as a SPlisHSPlasH scene, and write the meshes it needs to a folder."""
+    header, radius = job.header, job.header.particle_radius
     walls = folder / "walls.obj"
-    write_box(walls, job.domain)
+    write_box(walls, header.domain_upper)
     blocks, models = [], []
     for number, body in enumerate(job.bodies):
         if isinstance(body, Block):
@@ -118,21 +91,21 @@ def scene_file(job: Job, folder: Path) -> dict[str, Any]:
     return {
         "Configuration": {
             "particleRadius": radius,
-            "simulationMethod": _METHODS[job.solver],
-            "gravitation": list(job.gravity),
+            "simulationMethod": METHODS[header.solver],
+            "gravitation": list(header.gravity),
             "timeStepSize": job.solver_step,
             "cflMethod": 0,
             "boundaryHandlingMethod": AKINCI_2012,
             "enableZSort": False,
             "numberOfStepsPerRenderUpdate": 1,
-            job.solver: job.parameters,
+            header.solver: job.parameters,
         },
         "Materials": [
             {
                 "id": "Fluid",
-                "density0": job.density0,
+                "density0": header.density0,
                 "viscosityMethod": 1,
-                "Standard viscosity": {"viscosity": job.viscosity},
+                "Standard viscosity": {"viscosity": header.viscosity},
             }
         ],
         "RigidBodies": [

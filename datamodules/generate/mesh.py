@@ -37,37 +37,31 @@ def write_drop(path: Path, drop: Drop, particle_radius: float) -> None:
 def _ball(radius: float) -> tuple[NDArray[np.float64], list[tuple[int, int, int]]]:
     """Return vertices and triangles of a sphere with 24 x 48 faces by latitude and longitude."""
     rows, columns = 24, 48
-    polar = np.linspace(0, np.pi, rows + 1)[1:-1]
+    polar = np.linspace(0, np.pi, rows + 1)[1:-1, None]
     azimuth = np.arange(columns) * 2 * np.pi / columns
-    ring = np.stack(
-        [
-            np.outer(np.sin(polar), np.cos(azimuth)),
-            np.outer(np.cos(polar), np.ones(columns)),
-            np.outer(np.sin(polar), np.sin(azimuth)),
-        ],
-        axis=-1,
-    ).reshape(-1, 3)
-    vertices = radius * np.concatenate([[[0.0, 1.0, 0.0]], ring, [[0.0, -1.0, 0.0]]])
-    last = len(vertices)
-    triangles: list[tuple[int, int, int]] = []
-    for column in range(columns):
-        following = (column + 1) % columns
-        triangles.append((1, 2 + following, 2 + column))
-        for row in range(rows - 2):
-            upper, lower = 2 + row * columns, 2 + (row + 1) * columns
-            triangles.append((upper + column, upper + following, lower + column))
-            triangles.append((upper + following, lower + following, lower + column))
-        bottom = 2 + (rows - 2) * columns
-        triangles.append((last, bottom + column, bottom + following))
-    return vertices, triangles
+    x, z = np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth)
+    rings = np.stack([x, np.broadcast_to(np.cos(polar), x.shape), z], axis=-1).reshape(-1, 3)
+    vertices = radius * np.concatenate([[[0.0, 1.0, 0.0]], rings, [[0.0, -1.0, 0.0]]])
+    # Vertices count from one, and the first is the pole.
+    here = 2 + np.arange(len(rings)).reshape(rows - 1, columns)
+    following = np.roll(here, -1, axis=1)
+    top, bottom = np.full(columns, 1), np.full(columns, len(vertices))
+    triangles = [
+        (top, following[0], here[0]),
+        (here[:-1], following[:-1], here[1:]),
+        (following[:-1], following[1:], here[1:]),
+        (bottom, here[-1], following[-1]),
+    ]
+    corners = np.concatenate([np.stack(sides, axis=-1).reshape(-1, 3) for sides in triangles])
+    return vertices, [(a, b, c) for a, b, c in corners.tolist()]
 
 
 def _write_obj(
     path: Path, vertices: NDArray[np.float64], triangles: list[tuple[int, int, int]]
 ) -> None:
-    lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices]
-    lines += [f"f {a} {b} {c}" for a, b, c in triangles]
-    path.write_text("\n".join(lines) + "\n")
+    with path.open("w") as file:
+        np.savetxt(file, vertices, "v %.9g %.9g %.9g")
+        np.savetxt(file, triangles, "f %d %d %d")
 
 
 def _read_obj(path: Path) -> tuple[NDArray[np.float64], list[tuple[int, int, int]]]:

@@ -11,7 +11,7 @@ import numpy as np
 from datamodules.generate.job import PARAMETERS, SOLVER_STEPS, Job, SolverName
 from datamodules.generate.scenes import Body, SceneKind, Vector
 from datamodules.generate.symmetry import Symmetries
-from datamodules.schema import SPLITS
+from datamodules.schema import SPLITS, Header
 from fluidsnet.errors import UserError
 
 #: Greatest number of draws for a scene that differs from the others.
@@ -63,13 +63,11 @@ class Recipe:
                 f"frame_interval ({self.frame_interval} s) must be a whole number of "
                 f"solver steps ({self.step} s)."
             )
-        if self.frames < 2:
-            raise UserError(f"frames is {self.frames}; a simulation needs at least two.")
         if not self.particle_radius > 0:
             raise UserError(f"particle_radius is {self.particle_radius}; it must be above zero.")
-        for split in SPLITS:
-            if getattr(self, split) < 0:
-                raise UserError(f"{split} is {getattr(self, split)}; it must be at least zero.")
+        for name, least in (("frames", 2), *((split, 0) for split in SPLITS)):
+            if getattr(self, name) < least:
+                raise UserError(f"{name} is {getattr(self, name)}; it must be at least {least}.")
         if self.train + self.val + self.test == 0:
             raise UserError("train, val and test are all zero; there is nothing to simulate.")
 
@@ -81,10 +79,9 @@ class Recipe:
     def starts(self) -> dict[tuple[str, int], list[Body]]:
         """Draw the bodies of each simulation, by split and number.
 
-        With coarse particles there are few different blocks, and a test simulation that is a
-        mirror image of a training simulation, or within a particle radius of it, would measure
-        memory. So no two starts are mirror images of each other. Where the kind of scene has no
-        other start left, training may have mirror images of its simulations, but no copies.
+        No two starts are mirror images of each other to within a particle radius, since a test
+        on a mirror image of a training simulation would measure memory. Where the kind of scene
+        has no other start left, training may have mirror images, but no copies, of its own.
 
         Raises:
             UserError: the kind of scene has too few different starts.
@@ -104,9 +101,9 @@ class Recipe:
 
         # Test and validation are drawn first, so they do not depend on the size of training.
         for split in reversed(SPLITS):
-            wanted = is_new
+            held_out, wanted = list(drawn.values()), is_new
             for number in range(getattr(self, split)):
-                random = np.random.default_rng(self.entropy(split, number))
+                random = np.random.default_rng(self._entropy(split, number))
                 bodies = self._draw(random, wanted)
                 if bodies is None and split == "train" and wanted is is_new:
                     wanted = is_mirrored_in_training
@@ -119,39 +116,42 @@ class Recipe:
                         "particles, wider ranges or fewer simulations."
                     )
                 drawn[split, number] = bodies
-            if split != "train":
-                held_out = list(drawn.values())
         return drawn
 
     def _draw(
         self, random: np.random.Generator, wanted: Callable[[list[Body]], bool]
     ) -> list[Body] | None:
         """Draw until a scene is wanted; return None after too many draws."""
-        for _ in range(_DRAWS):
-            bodies = self.scene.sample(random, self.particle_radius)
-            if wanted(bodies):
-                return bodies
-        return None
+        draws = (self.scene.sample(random, self.particle_radius) for _ in range(_DRAWS))
+        return next(filter(wanted, draws), None)
 
-    def entropy(self, split: str, number: int) -> list[int]:
-        """Return the seed of a simulation."""
+    def _entropy(self, split: str, number: int) -> list[int]:
         return [self.seed, SPLITS.index(split), number]
 
     def job(self, split: str, number: int, bodies: list[Body], output: Path, threads: int) -> Job:
         """Return the job of a simulation, given its start from `starts`."""
-        return Job(
-            output=str(output),
+        steps_per_frame = round(self.frame_interval / self.step)
+        header = Header(
             scene=type(self.scene).__name__,
             solver=self.solver,
-            domain=self.scene.domain,
-            particle_radius=self.particle_radius,
+            solver_version="",
+            solver_parameters={},
+            domain_lower=(0.0, 0.0, 0.0),
+            domain_upper=self.scene.domain,
             gravity=self.gravity,
+            particle_radius=self.particle_radius,
+            support_radius=4 * self.particle_radius,
+            dt=steps_per_frame * self.step,
             density0=self.density0,
             viscosity=self.viscosity,
+        )
+        return Job(
+            output=str(output),
+            header=header,
             solver_step=self.step,
-            steps_per_frame=round(self.frame_interval / self.step),
+            steps_per_frame=steps_per_frame,
             frames=self.frames,
-            seed=self.entropy(split, number),
+            seed=self._entropy(split, number),
             bodies=bodies,
             threads=threads,
             parameters={**PARAMETERS[self.solver], **(self.solver_parameters or {})},

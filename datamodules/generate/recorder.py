@@ -18,13 +18,9 @@ class EscapedError(RuntimeError):
 
 
 class Recorder:
-    """Writer of the frames of a running simulation.
+    """Writer of the frames of a simulation, started in the solver, to a group of an open file.
 
-    Args:
-        solver: Module of the solver, with a simulation that is ready to step.
-        job: Settings of the simulation.
-        group: Group of the simulation in a file open for writing.
-        report: File descriptor that gets one line per frame.
+    The file descriptor `report` gets one line per frame.
     """
 
     def __init__(self, solver: ModuleType, job: Job, group: h5py.Group, report: int) -> None:
@@ -32,7 +28,7 @@ class Recorder:
         self.frames = 0
         self.seconds = 0.0
         self._steps = 0
-        self._upper = np.array(job.domain)
+        self._upper = np.array(job.header.domain_upper)
         position, velocity = self._fluid()
         self.position, self.velocity = create_frames(group, len(position))
         self._times: list[float] = []
@@ -41,10 +37,7 @@ class Recorder:
         self._store(position, velocity)
 
     def step(self, seconds: float) -> None:
-        """Record a step of the solver.
-
-        Args:
-            seconds: Wall time of the step, s.
+        """Record a step of the solver that took this wall time, s.
 
         Raises:
             EscapedError: a particle left the domain.
@@ -62,11 +55,8 @@ class Recorder:
         self.group["solver_seconds"] = np.array(self._solver_seconds)
 
     def _correct_clock(self) -> None:
-        """Check and set the clock of the solver.
-
-        The clock is the sum of the steps in single precision, which drifts by 2 % of a step
-        over the paper's 1,500 steps and by whole steps over more.
-        """
+        # The clock is a sum of steps in single precision, which drifts by 2 % of a step over the
+        # paper's 1,500 steps and by whole steps over more.
         clock, step = self.solver.TimeManager.getCurrent(), self.job.solver_step
         now, due = clock.getTime(), self._steps * step
         if abs(now - due) > 0.01 * step:
@@ -75,23 +65,18 @@ class Recorder:
 
     def _fluid(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         simulation = self.solver.Simulation.getCurrent()
-        models = [
-            simulation.getFluidModel(number) for number in range(simulation.numberOfFluidModels())
-        ]
-        # The buffers belong to the solver and have room for emitters: cut and copy.
-        position, velocity = (
-            np.concatenate(
-                [
-                    np.array(model.getFieldBuffer(name))[: model.numActiveParticles()]
-                    for model in models
-                ]
+        models = [*map(simulation.getFluidModel, range(simulation.numberOfFluidModels()))]
+
+        def field(name: str) -> NDArray[np.float32]:
+            # The buffers belong to the solver and have room for emitters: cut and copy.
+            return np.concatenate(
+                [np.array(it.getFieldBuffer(name))[: it.numActiveParticles()] for it in models]
             )
-            for name in ("position", "velocity")
-        )
-        return position, velocity
+
+        return field("position"), field("velocity")
 
     def _store(self, position: NDArray[np.float32], velocity: NDArray[np.float32]) -> None:
-        radius = self.job.particle_radius
+        radius = self.job.header.particle_radius
         if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
             raise RuntimeError(f"a particle is not finite in frame {self.frames}")
         outside = np.any((position < -radius) | (position > self._upper + radius), axis=1)
@@ -100,10 +85,9 @@ class Recorder:
                 f"{int(outside.sum())} of {len(position)} particles left through a wall "
                 f"by frame {self.frames}"
             )
-        self.position.resize(self.frames + 1, axis=0)
-        self.velocity.resize(self.frames + 1, axis=0)
-        self.position[self.frames] = position
-        self.velocity[self.frames] = velocity
+        for dataset, values in ((self.position, position), (self.velocity, velocity)):
+            dataset.resize(self.frames + 1, axis=0)
+            dataset[self.frames] = values
         self._times.append(self.frames * self.job.steps_per_frame * self.job.solver_step)
         self._solver_seconds.append(self.seconds)
         self.seconds = 0.0
@@ -113,15 +97,7 @@ class Recorder:
 
     def _store_solids(self) -> None:
         simulation = self.solver.Simulation.getCurrent()
-        points = [
-            model.getPosition(row)
-            for model in map(
-                simulation.getBoundaryModel, range(simulation.numberOfBoundaryModels())
-            )
-            for row in range(model.numberOfParticles())
-        ]
-        self.group.create_dataset(
-            "solid_position",
-            data=np.array(points, dtype=np.float32).reshape(-1, 3),
-            **COMPRESSION,
-        )
+        models = map(simulation.getBoundaryModel, range(simulation.numberOfBoundaryModels()))
+        points = [it.getPosition(row) for it in models for row in range(it.numberOfParticles())]
+        solids = np.array(points, dtype=np.float32).reshape(-1, 3)
+        self.group.create_dataset("solid_position", data=solids, **COMPRESSION)

@@ -7,13 +7,12 @@ the domain, so a kind works for a domain of any size. The up axis is y.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fluidsnet.errors import UserError
 
@@ -45,17 +44,11 @@ class Block:
 @final
 @dataclass(frozen=True)
 class Drop:
-    """Ball of fluid, or a closed mesh scaled to fit into one.
+    """Ball of fluid, or a closed mesh scaled to fit into one."""
 
-    Attributes:
-        center: Center of the ball, in m.
-        radius: Radius of the ball, in m.
-        mesh: Wavefront OBJ file with a closed surface, or None for the ball.
-    """
-
-    center: Vector
-    radius: float
-    mesh: str | None = None
+    center: Vector  # of the ball, m
+    radius: float  # of the ball, m
+    mesh: str | None = None  # Wavefront OBJ file with a closed surface
 
     def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the lower and upper corner of the bounding box, in m."""
@@ -73,12 +66,11 @@ def describe(body: Body) -> dict[str, Any]:
 class SceneKind(ABC):
     """Distribution of random scenes.
 
-    Args:
+    Attributes:
         domain: Edges of the box of fluid and air, in m; its lower corner is the origin.
     """
 
-    def __init__(self, domain: Vector) -> None:
-        self.domain = domain
+    domain: Vector
 
     @abstractmethod
     def sample(self, random: np.random.Generator, particle_radius: float) -> list[Body]:
@@ -93,15 +85,8 @@ class SceneKind(ABC):
         clearance = CLEARANCE * particle_radius
         return np.full(3, clearance), np.array(self.domain, dtype=np.float64) - clearance
 
-    def block(
-        self, corner: Sequence[float], edges: Sequence[float], particle_radius: float
-    ) -> Block:
-        """Return a block of whole particles inside the walls.
-
-        Args:
-            corner: Lower corner before the block is moved inside, in m.
-            edges: Edges before they are rounded to whole particles, in m.
-            particle_radius: In m.
+    def block(self, corner: ArrayLike, edges: ArrayLike, particle_radius: float) -> Block:
+        """Return a block of whole particles, with rounded edges and moved inside the walls.
 
         Raises:
             UserError: the domain is too small for such particles.
@@ -122,6 +107,7 @@ class SceneKind(ABC):
 
 
 @final
+@dataclass
 class DamBreak(SceneKind):
     """Column of fluid that collapses in a corner of a basin (figures 5b and 8).
 
@@ -132,25 +118,21 @@ class DamBreak(SceneKind):
         depth: Depth of the column, as a share of the z edge of the domain.
     """
 
-    def __init__(
-        self,
-        domain: Vector = (6.0, 4.0, 6.0),
-        width: Range = (0.35, 0.55),
-        height: Range = (0.66, 0.90),
-        depth: Range = (0.84, 1.0),
-    ) -> None:
-        super().__init__(domain)
-        self.width, self.height, self.depth = width, height, depth
+    domain: Vector = (6.0, 4.0, 6.0)
+    width: Range = (0.35, 0.55)
+    height: Range = (0.66, 0.90)
+    depth: Range = (0.84, 1.0)
 
     def sample(self, random: np.random.Generator, particle_radius: float) -> list[Body]:
         shares = [random.uniform(*extent) for extent in (self.width, self.height, self.depth)]
-        edges = np.array(shares) * np.array(self.domain)
+        edges = np.multiply(shares, self.domain)
         side = random.integers(0, 2, size=2)
         corner = [side[0] * self.domain[0], 0.0, side[1] * self.domain[2]]
-        return [self.block(corner, edges.tolist(), particle_radius)]
+        return [self.block(corner, edges, particle_radius)]
 
 
 @final
+@dataclass
 class CuboidBasin(SceneKind):
     """Cuboid of fluid that falls into an empty basin (figures 5a and 7).
 
@@ -160,24 +142,19 @@ class CuboidBasin(SceneKind):
         lift: Height of the cuboid's lower face, as a share of the y edge of the domain.
     """
 
-    def __init__(
-        self,
-        domain: Vector = (7.0, 7.0, 7.0),
-        edge: Range = (0.36, 0.51),
-        lift: Range = (0.25, 0.45),
-    ) -> None:
-        super().__init__(domain)
-        self.edge, self.lift = edge, lift
+    domain: Vector = (7.0, 7.0, 7.0)
+    edge: Range = (0.36, 0.51)
+    lift: Range = (0.25, 0.45)
 
     def sample(self, random: np.random.Generator, particle_radius: float) -> list[Body]:
         edges = random.uniform(*self.edge, size=3) * min(self.domain)
-        free = np.maximum(np.array(self.domain) - edges, 0.0)
-        corner = random.uniform(size=3) * free
+        corner = random.uniform(size=3) * np.maximum(np.array(self.domain) - edges, 0.0)
         corner[1] = random.uniform(*self.lift) * self.domain[1]
-        return [self.block(corner.tolist(), edges.tolist(), particle_radius)]
+        return [self.block(corner, edges, particle_radius)]
 
 
 @final
+@dataclass
 class DropPool(SceneKind):
     """Drop that falls into a pool of resting fluid (figures 5c and 9).
 
@@ -189,16 +166,11 @@ class DropPool(SceneKind):
         mesh: OBJ file with a closed surface to use in place of a ball.
     """
 
-    def __init__(
-        self,
-        domain: Vector = (7.0, 7.0, 7.0),
-        pool: Range = (0.15, 0.20),
-        radius: Range = (0.15, 0.21),
-        fall: Range = (0.05, 0.35),
-        mesh: Path | None = None,
-    ) -> None:
-        super().__init__(domain)
-        self.pool, self.radius, self.fall, self.mesh = pool, radius, fall, mesh
+    domain: Vector = (7.0, 7.0, 7.0)
+    pool: Range = (0.15, 0.20)
+    radius: Range = (0.15, 0.21)
+    fall: Range = (0.05, 0.35)
+    mesh: Path | None = None
 
     def sample(self, random: np.random.Generator, particle_radius: float) -> list[Body]:
         depth = random.uniform(*self.pool) * self.domain[1]

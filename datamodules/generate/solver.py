@@ -14,6 +14,7 @@ import os
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from types import ModuleType
@@ -21,24 +22,27 @@ from types import ModuleType
 import h5py
 
 from datamodules.generate.job import AKINCI_2012, REGULAR_TRIANGLES, Job, scene_file
-from datamodules.generate.recorder import EscapedError, Recorder
+from datamodules.generate.recorder import Recorder
 from datamodules.generate.scenes import describe
 from datamodules.schema import Header
 from fluidsnet.errors import UserError
 
 #: Simulated time that no simulation reaches, s.
 _NEVER = 1e6
+_MISSING = (
+    "The solver SPlisHSPlasH cannot be loaded ({}); install it with "
+    "`pip install 'fluidsnet[solver]'`."
+)
 
 
 def load_solver() -> ModuleType:
     """Import pysplishsplash.
 
-    It crashes if libGL of the system is loaded after it, so libGL is loaded first.
-
     Raises:
         UserError: the solver or libGL is not installed.
     """
     try:
+        # Before the solver, which crashes if libGL is loaded after it.
         ctypes.CDLL("libGL.so.1", mode=ctypes.RTLD_GLOBAL)
     except OSError as error:
         raise UserError(
@@ -48,27 +52,17 @@ def load_solver() -> ModuleType:
     try:
         import pysplishsplash
     except ImportError as error:
-        raise UserError(
-            "The solver SPlisHSPlasH cannot be loaded "
-            f"({error}); install it with `pip install 'fluidsnet[solver]'`."
-        ) from error
+        raise UserError(_MISSING.format(error)) from error
     module: ModuleType = pysplishsplash
     return module
 
 
 def solver_version() -> str:
-    """Return the version of the installed solver.
-
-    Raises:
-        UserError: it is not installed.
-    """
+    """Return the version of the solver; raise a `UserError` if it is not installed."""
     try:
         return metadata.version("pysplishsplash")
     except metadata.PackageNotFoundError as error:
-        raise UserError(
-            "The solver SPlisHSPlasH is not installed; "
-            "install it with `pip install 'fluidsnet[solver]'`."
-        ) from error
+        raise UserError(_MISSING.format(error)) from error
 
 
 def simulate(job: Job, report: int) -> None:
@@ -79,9 +73,7 @@ def simulate(job: Job, report: int) -> None:
         report: File descriptor that gets one line per frame.
 
     Raises:
-        EscapedError: a particle left the domain.
-        RuntimeError: the solver failed.
-        UserError: the solver is not installed.
+        RuntimeError: the solver failed, or a particle left the domain.
     """
     solver = load_solver()
     # SPlisHSPlasH does not resolve paths from the working folder.
@@ -93,14 +85,8 @@ def simulate(job: Job, report: int) -> None:
             scene = folder / "scene.json"
             scene.write_text(json.dumps(scene_file(job, folder)))
             base = solver.Exec.SimulatorBase()
-            base.init(
-                sceneFile=str(scene),
-                useGui=False,
-                initialPause=False,
-                useCache=False,
-                outputDir=str(folder),
-                stopAt=_NEVER,
-            )
+            options = dict.fromkeys(("useGui", "initialPause", "useCache"), False)
+            base.init(sceneFile=str(scene), outputDir=str(folder), stopAt=_NEVER, **options)
             base.initSimulation()
             # SPlisHSPlasH samples the walls in `runSimulation`. With its clock past the end it
             # does that and no step, so that each step can be timed.
@@ -130,26 +116,14 @@ def simulate(job: Job, report: int) -> None:
 
 
 def _header(job: Job) -> Header:
-    return Header(
-        scene=job.scene,
-        solver=job.solver,
-        solver_version=solver_version(),
-        solver_parameters={
-            **job.parameters,
-            "timeStepSize": job.solver_step,
-            "viscosity": job.viscosity,
-            "boundaryHandlingMethod": AKINCI_2012,
-            "samplingMode": REGULAR_TRIANGLES,
-        },
-        domain_lower=(0.0, 0.0, 0.0),
-        domain_upper=job.domain,
-        gravity=job.gravity,
-        particle_radius=job.particle_radius,
-        support_radius=4 * job.particle_radius,
-        dt=job.steps_per_frame * job.solver_step,
-        density0=job.density0,
-        viscosity=job.viscosity,
-    )
+    parameters = {
+        **job.parameters,
+        "timeStepSize": job.solver_step,
+        "viscosity": job.header.viscosity,
+        "boundaryHandlingMethod": AKINCI_2012,
+        "samplingMode": REGULAR_TRIANGLES,
+    }
+    return replace(job.header, solver_version=solver_version(), solver_parameters=parameters)
 
 
 def main(arguments: list[str]) -> int:
@@ -157,9 +131,9 @@ def main(arguments: list[str]) -> int:
     job = Job.from_json(Path(arguments[0]).read_text())
     try:
         simulate(job, int(arguments[1]))
-    except BrokenPipeError:
+    except BrokenPipeError:  # the process that started this one is gone
         return 1
-    except (UserError, EscapedError, RuntimeError) as error:
+    except (UserError, RuntimeError) as error:
         print(error, file=sys.stderr, flush=True)
         return 1
     return 0

@@ -36,34 +36,22 @@ class Symmetries:
         self._axes = np.array([axes for axes, _ in maps])
         self._mirrors = np.array([signs for _, signs in maps]) < 0
 
-    def images(self, bodies: list[Body]) -> NDArray[np.float64]:
-        """Compute the bounding boxes of the bodies under each symmetry.
-
-        Args:
-            bodies: Bodies of a scene.
-
-        Returns:
-            (S, B, 2, 3): lower and upper corner, m, of B bodies under S symmetries.
-        """
+    def _images(self, bodies: list[Body]) -> NDArray[np.float64]:
+        """Return (S, B, 2, 3) lower and upper corners, m, of B bodies under S symmetries."""
         corners = np.array([body.bounds() for body in bodies])
         turned = np.moveaxis(corners[..., self._axes], 2, 0)
         mirrors = self._mirrors[:, None, None]
         return np.sort(np.where(mirrors, self._edges - turned, turned), axis=2)
 
     def alike(self, first: list[Body], second: list[Body], distance: float) -> bool:
-        """Return whether a symmetry maps each body of one scene onto that of another.
+        """Return True if a symmetry maps each body of one scene onto that of another.
 
-        A mesh is taken to be symmetric, so different scenes may count as alike, but never the
-        reverse.
-
-        Args:
-            first: Bodies of a scene.
-            second: Bodies of another scene.
-            distance: Greatest distance between the corners of two equal boxes, m.
+        Their boxes may be less than `distance` apart, m. A mesh is taken to be symmetric, so
+        different scenes may count as alike, but never the reverse.
         """
         if [_form(body) for body in first] != [_form(body) for body in second]:
             return False
-        distances = np.abs(self.images(first) - self.images(second)[0])
+        distances = np.abs(self._images(first) - self._images(second)[0])
         return bool((distances.max(axis=(1, 2, 3)) < distance).any())
 
 

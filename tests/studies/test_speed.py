@@ -18,7 +18,6 @@ from fluidsnet.studies.speed.floor import step_floor
 from fluidsnet.studies.speed.measure import load_model, measure
 from fluidsnet.studies.speed.report import Report, number
 from fluidsnet.studies.speed.trial import Result, SpeedOptions, Trial, run_trial
-from tools import training_step
 
 MODELS = Path(__file__).parents[2] / "configs" / "model"
 
@@ -228,29 +227,6 @@ def test_what_ran_beside_the_solver_counts_for_the_frames_at_once(
 )
 def test_a_number_has_three_digits_and_no_exponent(value: float | None, words: str) -> None:
     assert number(value) == words
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ([], "arguments are required: root, search"),
-        (["data"], "arguments are required: search"),
-        (["data", "Nearest"], "invalid choice: 'Nearest'"),
-    ],
-)
-def test_the_timer_of_a_training_step_says_its_usage(
-    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as end:
-        training_step.main(arguments)
-    assert end.value.code == 2
-    said = capsys.readouterr().err
-    assert said.startswith("usage: ") and "TorchCluster" in said and words in said
-
-
-def test_the_timer_of_a_training_step_names_a_file_it_misses(tmp_path: Path) -> None:
-    with pytest.raises(SystemExit, match=r"train\.h5: there is no such file"):
-        training_step.main([str(tmp_path), "Auto"])
 
 
 @pytest.mark.parametrize(
