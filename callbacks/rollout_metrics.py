@@ -183,8 +183,9 @@ class RolloutMetrics(Callback, ChartSource, RolloutObserver):
         self, start: RolloutStart, step: int, states: Mapping[str, Particles]
     ) -> None:
         """Measure a step of a rollout that has a truth."""
-        if "truth" in states:
-            self._update(start, step, states, states["truth"])
+        if "truth" in states and self._suite is not None:
+            index = self._starts.names.index(start.name)
+            self._suite.update(index, step, states, states["truth"], start.state)
 
     def on_predict_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Write the table."""
@@ -205,14 +206,6 @@ class RolloutMetrics(Callback, ChartSource, RolloutObserver):
         """Write and print the table."""
         time_step = self._data.time_step
         print(write_rollout_metrics(path, results, self._starts, time_step), f"{path}.md", sep="\n")
-
-    def _update(
-        self, start: RolloutStart, step: int, states: Mapping[str, Particles], true: Particles
-    ) -> None:
-        if self._suite is not None:
-            rollouts = list(zip(self._starts.names, self._starts.first, strict=True))
-            index = rollouts.index((start.name, start.first))
-            self._suite.update(index, step, states, true, start.state)
 
     @torch.no_grad()
     def _measure(
@@ -244,7 +237,7 @@ class RolloutMetrics(Callback, ChartSource, RolloutObserver):
             start = starts[index].to(module.device)
             for step, states in enumerate(roll_out(trainer, module, start), start=1):
                 measured = {name: states[name] for name in names}
-                self._update(start, step, measured, states["truth"])
+                self._suite.update(index, step, measured, states["truth"], start.state)
                 bar.update()
         bar.close()
         return self._suite.compute()

@@ -43,7 +43,7 @@ class SpeedMonitor(Callback):
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Reset the measurement."""
-        # A copy, since a search caches the edges of its last batch.
+        # A copy, since a search caches the sorted solids of its last batch.
         self._search = deepcopy(require_fluidsnet(self, pl_module).model.network.neighbors)
         self._warm = False
         self._began: float | None = None

@@ -1,4 +1,4 @@
-"""FluidsNet: learn a fluid from the particles of an SPH simulation."""
+"""FluidsNet: neural networks that simulate fluids, trained on SPH particle data."""
 
 from __future__ import annotations
 

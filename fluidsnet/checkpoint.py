@@ -107,7 +107,7 @@ def _differences(
     present = _note(model)
     bound = {_GRID, *dict(model.network.named_children())}
     if twin_of is not None:
-        bound |= {name for name, block in saved.items() if block != twin_of.get(name, block)}
+        bound |= {name for name, block in saved.items() if block != twin_of.get(name)}
     return [
         (name, there, present[name])
         for name, there in saved.items()

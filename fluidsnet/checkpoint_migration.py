@@ -1,4 +1,4 @@
-"""Checkpoints of earlier versions, brought to the names of this one."""
+"""Migrate checkpoints of earlier versions to the current names."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ def migrate(checkpoint: dict[str, Any]) -> None:
     There the module was the model itself, twins were attached to it, and the global feature
     was called context.
     """
-    if _OLD_NOTE not in checkpoint:
+    if NOTE in checkpoint:
         return
-    notes = {"model": checkpoint.pop(_OLD_NOTE), **checkpoint.pop(_OLD_TWINS, {})}
+    notes = {"model": checkpoint.pop(_OLD_NOTE, {}), **checkpoint.pop(_OLD_TWINS, {})}
     checkpoint[NOTE] = {model: with_current_names(note) for model, note in notes.items()}
     checkpoint["hyper_parameters"] = with_current_names(checkpoint.get("hyper_parameters", {}))
     checkpoint["state_dict"] = {

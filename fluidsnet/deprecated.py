@@ -45,9 +45,14 @@ class DeprecatedNames:
     def in_config(self, value: Any, path: tuple[str, ...] = ()) -> Any:
         """Return a value of a config, at a path of keys, with current names."""
         if isinstance(value, dict):
+            if not path and str(value.get("class_path")).endswith("FluidsNet"):
+                # A file given as --model.
+                path = ("model",)
             in_model = path[-1:] == ("model",) or path[-2:] in _MODEL_PATHS
             renamed = {}
             for key, item in value.items():
+                if key in ("callbacks", "callbacks+") and self._is_removed(item):
+                    continue
                 name = self._current(key, "block") if in_model and key in KEYS else key
                 renamed[name] = self.in_config(item, (*path, str(name)))
             return renamed

@@ -107,6 +107,23 @@ class Model(nn.Module):
         """
         return self.advance(particles, self.network(particles, global_feature))
 
+    def forward(self, particles: Particles) -> Particles:
+        """Return the predicted state one time step later, as `step`."""
+        return self.step(particles)
+
+    def check_time_step(self, time_step: float) -> None:
+        """Check that the model was trained at a time step, s; an untrained model takes any.
+
+        Raises:
+            UserError: It was trained at another one.
+        """
+        trained = float(self.time_step)
+        if trained and abs(trained - time_step) > 1e-6 * trained:
+            raise UserError(
+                f"This network was trained at a time step of {trained:g} s, and the data are "
+                f"stepped by {time_step:g} s; set data.stride so that the two agree."
+            )
+
     def advance(self, particles: Particles, output: Tensor) -> Particles:
         """Return the next state for a network output: decode, integrate, apply the walls.
 

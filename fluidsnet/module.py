@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, cast
+from io import BytesIO
+from typing import Any, Self, cast
 
 import torch
 from lightning import LightningModule
@@ -99,7 +100,7 @@ class FluidsNet(LightningModule):
     def setup(self, stage: str) -> None:
         self._resuming = stage == "fit"
         if stage == "fit":
-            # A checkpoint that is resumed is read after this and has the last word.
+            # A resumed checkpoint is loaded after this and overwrites these values.
             data: Any = self._data_module()
             for model in self.named_models().values():
                 model.set_statistics(data.statistics, data.time_step)
@@ -201,6 +202,27 @@ class FluidsNet(LightningModule):
             for observer in observers:
                 observer.on_rollout_end(batch)
 
+    @classmethod
+    def load_from_checkpoint(cls, checkpoint_path: Any, *args: Any, **kwargs: Any) -> Self:
+        """Load a module with its weights, also from a checkpoint of an earlier version.
+
+        Args:
+            checkpoint_path: Path or file of the checkpoint.
+            *args: As for Lightning's method.
+            **kwargs: As for Lightning's method, and blocks that are not plain values.
+
+        Raises:
+            UserError: The checkpoint does not match the blocks.
+        """
+        weights_only = kwargs.get("weights_only") is not False
+        checkpoint = torch.load(checkpoint_path, map_location="cpu", weights_only=weights_only)
+        migrate(checkpoint)
+        file = BytesIO()
+        torch.save(checkpoint, file)
+        file.seek(0)
+        module: Self = super().load_from_checkpoint(file, *args, **kwargs)
+        return module
+
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         describe(checkpoint, self.named_models())
 
@@ -222,17 +244,12 @@ class FluidsNet(LightningModule):
         self._check_time_step()
 
     def _check_time_step(self) -> None:
-        trained, found = float(self.model.time_step), self._data_module().time_step
-        if trained == 0:
+        if self.model.time_step == 0:
             raise UserError(
                 "This network has not been trained: name a checkpoint with --ckpt_path, "
                 "or a run's folder with --run."
             )
-        if abs(trained - found) > 1e-6 * trained:
-            raise UserError(
-                f"This network was trained at a time step of {trained:g} s, and the data are "
-                f"stepped by {found:g} s; set data.stride so that the two agree."
-            )
+        self.model.check_time_step(self._data_module().time_step)
 
     def _data_module(self) -> Any:
         data = getattr(self.trainer, "datamodule", None)

@@ -19,7 +19,7 @@ from fluidsnet.features.voxel import GridShape
 from fluidsnet.neighbors.search import NeighborSearch
 from fluidsnet.particles import Particles
 from fluidsnet.statistics import Statistics
-from fluidsnet.target import Motion, Target
+from fluidsnet.target import Target
 
 #: Builds a global feature for a grid shape and a width of the particles' features.
 GlobalFeatureFactory = Callable[[GridShape, int], GlobalFeature]
@@ -100,7 +100,3 @@ class Network(nn.Module):
             with record_function("local"):
                 local = self.local(particles, neighbors, self.inputs)
         return torch.cat([self.inputs(particles), local], dim=1)
-
-    def motion(self, particles: Particles, global_feature: Tensor | None = None) -> Motion:
-        """Return the predicted motion over one step; `global_feature` as in `forward`."""
-        return self.target.decode(self(particles, global_feature), particles)

@@ -13,7 +13,7 @@ T = TypeVar("T")
 
 @contextmanager
 def preserve_rng_state(device: torch.device | str = "cpu") -> Iterator[None]:
-    """Restore the generators of the CPU and of a device when the block ends.
+    """Restore the generators of the CPU and of a CUDA device when the block ends.
 
     Copying the states does not make a GPU wait.
 

@@ -1,4 +1,4 @@
-"""Rollout: a prediction fed back, one step after another."""
+"""Rollout: feed each prediction back as the next input."""
 
 from __future__ import annotations
 
@@ -20,7 +20,11 @@ def rollout(model: Model, start: Particles, steps: int) -> Iterator[Particles]:
         model: Model in evaluation mode.
         start: First state, which is not yielded.
         steps: Number of steps.
+
+    Raises:
+        UserError: The model was trained at another time step than the state's.
     """
+    model.check_time_step(start.scene.time_step)
     state = start
     for _ in range(steps):
         state = model.step(state)

@@ -22,5 +22,5 @@ def test_compiling_renames_no_weight_and_stores_nothing() -> None:
 
 
 def test_it_compiles_no_other_module() -> None:
-    with pytest.raises(UserError, match="FluidsNet alone"):
+    with pytest.raises(UserError, match="CompiledNetwork needs the model FluidsNet"):
         CompiledNetwork().setup(Trainer(logger=False), LightningModule(), "predict")

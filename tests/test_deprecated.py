@@ -166,3 +166,13 @@ def test_current_names_are_kept_without_a_warning() -> None:
     arguments = ["fit", "--config=context.yaml", "--model.init_args.contexts=1", "--x=NoContext"]
     assert names.in_arguments(arguments) == arguments
     assert names.warning() is None
+
+
+def test_a_removed_callback_alone_and_a_model_in_its_own_file() -> None:
+    names = DeprecatedNames()
+    for removed in ("RolloutTable", {"class_path": "callbacks.RolloutTable"}):
+        config = {"trainer": {"callbacks+": removed, "max_steps": 1}}
+        assert names.in_config(config) == {"trainer": {"max_steps": 1}}
+    model = {"class_path": "fluidsnet.FluidsNet", "init_args": {"context": "NoContext"}}
+    changed = names.in_config(model)
+    assert changed["init_args"] == {"global_feature": "NoGlobalFeature"}

@@ -76,6 +76,45 @@ def test_migration_leaves_a_checkpoint_of_this_version_alone(sample: Path, tmp_p
     assert list(checkpoint["state_dict"]) == names
 
 
+def test_lightning_loads_an_old_checkpoint() -> None:
+    path = OLD / "checkpoints" / "best.ckpt"
+    module = FluidsNet.load_from_checkpoint(path)
+    expected = fluidsnet.load(OLD).state_dict()
+    for name, value in module.model.state_dict().items():
+        assert torch.equal(value.cpu(), expected[name]), name
+
+
+def test_a_checkpoint_without_a_note_of_its_blocks_is_migrated(tmp_path: Path) -> None:
+    shutil.copytree(OLD, tmp_path / "run")
+    path = tmp_path / "run" / "checkpoints" / "best.ckpt"
+    checkpoint = torch.load(path, weights_only=True)
+    del checkpoint["fluidsnet_blocks"], checkpoint["fluidsnet_twins"]
+    weights = checkpoint["state_dict"]
+    checkpoint["state_dict"] = {n: weights[n] for n in weights if not n.startswith("twins.")}
+    torch.save(checkpoint, path)
+    expected = fluidsnet.load(OLD).state_dict()
+    for name, value in fluidsnet.load(tmp_path / "run").state_dict().items():
+        assert torch.equal(value, expected[name]), name
+
+
+def test_a_damaged_checkpoint_and_one_of_other_shapes_are_refused(tmp_path: Path) -> None:
+    shutil.copytree(OLD, tmp_path / "run")
+    config = tmp_path / "run" / "config.yaml"
+    config.write_text(config.read_text().replace("hidden: 7", "hidden: 8"))
+    with pytest.raises(UserError, match=r"the checkpoint does not fit config.yaml"):
+        fluidsnet.load(tmp_path / "run")
+    path = tmp_path / "run" / "checkpoints" / "best.ckpt"
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(UserError, match=r"best.ckpt cannot be read; it is damaged"):
+        fluidsnet.load(tmp_path / "run")
+
+
+def test_a_state_of_another_time_step_is_not_rolled_out(sample: Path) -> None:
+    other = read_state(sample / "test.h5", 0.04)
+    with pytest.raises(UserError, match=r"time step of 0.02 s, and the data .* 0.04 s"):
+        next(rollout(fluidsnet.load(OLD), other, 1))
+
+
 def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"not the folder of a run: .*last.ckpt is missing"):
         fluidsnet.load(tmp_path)

@@ -197,7 +197,7 @@ def test_no_tensor_is_made_without_a_device(network: Network, make_particles: Ma
     with DevicesAreNamed():
         network(particles).square().mean().backward()
         network.eval()
-        network.motion(particles)
+        network(particles)
     with pytest.raises(AssertionError, match="zeros"), DevicesAreNamed():
         torch.zeros(3)
 

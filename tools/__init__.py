@@ -1,1 +1,1 @@
-"""What `make` runs."""
+"""Scripts run by make: installation and demo."""

@@ -80,7 +80,7 @@ class Recipe:
         """Draw the bodies of each simulation, by split and number.
 
         No two starts are mirror images of each other to within a particle radius, since a test
-        on a mirror image of a training simulation would measure memory. Where the kind of scene
+        on a mirror image of a training simulation would measure memorization. Where the scenes
         has no other start left, training may have mirror images, but no copies, of its own.
 
         Raises:
@@ -121,7 +121,7 @@ class Recipe:
     def _draw(
         self, random: np.random.Generator, wanted: Callable[[list[Body]], bool]
     ) -> list[Body] | None:
-        """Draw until a scene is wanted; return None after too many draws."""
+        """Draw scenes until one is accepted; return None after too many draws."""
         draws = (self.scene.sample(random, self.particle_radius) for _ in range(_DRAWS))
         return next(filter(wanted, draws), None)
 

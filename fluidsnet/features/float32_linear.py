@@ -1,4 +1,4 @@
-"""Float32 under mixed precision, for the layers that need it."""
+"""Linear layer that computes in float32 under autocast."""
 
 from __future__ import annotations
 

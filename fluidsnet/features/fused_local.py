@@ -26,11 +26,17 @@ def fused_local(
     """
     if isinstance(search, Auto):
         search = search.backend(particles.position.device)
+    state = (
+        particles.position,
+        particles.velocity,
+        particles.solid_position,
+        particles.solid_velocity,
+    )
     if not (
         isinstance(search, CellListCPU)
         and isinstance(local, NeighborMean)
         and isinstance(inputs, ParticleState)
-        and use_kernel(local, particles.position, particles.velocity)
+        and use_kernel(local, *state)
     ):
         return None
     with record_function("sort"):

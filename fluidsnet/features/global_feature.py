@@ -40,7 +40,7 @@ class GlobalFeature(nn.Module, ABC):
 
 @final
 class NoGlobalFeature(GlobalFeature):
-    """No columns: the ablation "without global feature" (section 5.6, figure 12)."""
+    """Empty feature, no columns: the ablation "without global feature" (section 5.6, figure 12)."""
 
     width = 0
 

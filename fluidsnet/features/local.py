@@ -71,7 +71,8 @@ class NeighborMean(LocalFeature):
 
     def forward(self, particles: Particles, neighbors: Neighbors, inputs: InputFeature) -> Tensor:
         sent, radius = inputs.sent(particles), particles.scene.support_radius
-        if radius > 0 and use_kernel(self, particles.position, sent, differentiable=True):
+        read = (particles.position, particles.solid_position, sent)
+        if radius > 0 and use_kernel(self, *read, differentiable=True):
             layers = linear_layers(self.edge)
             return edge_mean(particles, sent, neighbors.neighbor, neighbors.offset, layers)
         received = sent.index_select(0, neighbors.neighbor)

@@ -1,4 +1,4 @@
-"""Edge network and pooling with gradients, in blocks of edges that stay in the first cache.
+"""Edge network and pooling with gradients, in blocks of edges that stay in the L1 cache.
 
 The backward pass recomputes the activations of a block, so only the neighbor list is kept.
 """

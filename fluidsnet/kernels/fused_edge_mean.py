@@ -27,7 +27,7 @@ from fluidsnet.kernels.columns import (
 )
 from fluidsnet.particles import Particles
 
-# Edges per pass through the layers: few enough to stay in the first cache.
+# Edges per pass through the layers: few enough to stay in the L1 cache.
 _EDGES = 448
 
 

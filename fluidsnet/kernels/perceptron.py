@@ -1,4 +1,4 @@
-"""Linear layers with tanh between them, in blocks of rows that stay in the first cache."""
+"""Linear layers with tanh between them, in blocks of rows that stay in the L1 cache."""
 
 from __future__ import annotations
 

@@ -22,8 +22,9 @@ _NEIGHBORS = 256
 
 @final
 class Density:
-    """ρ/ρ₀ = V (W(0) + Σ W(x - x_j)) + Σ V_b W(x - x_b), over fluid j and solids b.
+    """SPH density over the rest density, as the solver computes it.
 
+    ρ/ρ₀ = V (W(0) + Σ W(x - x_j)) + Σ V_b W(x - x_b), over fluid j and solids b.
     W is the cubic spline kernel that ends at the support radius, V = (2r)³ the volume of a
     fluid particle of radius r, and V_b = 1 / Σ W(x_b - x_k) the volume of a solid particle, over
     the solids k with b among them (Akinci et al. 2012). In frames of the solver the median is

@@ -50,7 +50,7 @@ class TargetError(FrameMean):
 
 @final
 class Skill(Metric):
-    """1 - velocity_mse / the smaller velocity_mse of constant velocity and ballistic.
+    """Skill score of velocities: 1 - velocity_mse / the smaller one of the trivial predictors.
 
     1 is perfect, 0 is no better than the better trivial predictor; there is no lower bound.
     """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import torch
@@ -35,7 +36,10 @@ def load(run: str | Path, device: torch.device | str = "cpu") -> Model:
     checkpoint = read_checkpoint(folder)
     module = build(folder / "config.yaml", tuple(checkpoint["hyper_parameters"]["grid_shape"]))
     module.on_load_checkpoint(checkpoint)
-    module.load_state_dict(checkpoint["state_dict"])
+    try:
+        module.load_state_dict(checkpoint["state_dict"])
+    except RuntimeError as error:
+        raise UserError(f"{folder}: the checkpoint does not fit config.yaml: {error}") from error
     return module.model.eval().requires_grad_(False).to(device)
 
 
@@ -56,12 +60,15 @@ def read_checkpoint(folder: Path) -> dict[str, Any]:
     """Read the checkpoint of a run; weights and plain settings only, on the CPU.
 
     Raises:
-        UserError: There is none.
+        UserError: There is none, or it is damaged.
     """
     # Nothing else is unpickled: a checkpoint may come from someone else.
     path = checkpoint_path(folder)
-    checkpoint: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-    migrate(checkpoint)
+    try:
+        checkpoint: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+        migrate(checkpoint)
+    except (OSError, EOFError, RuntimeError, KeyError, UnpicklingError) as error:
+        raise UserError(f"{path} cannot be read; it is damaged or no checkpoint.") from error
     return checkpoint
 
 

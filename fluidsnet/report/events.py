@@ -30,7 +30,7 @@ class History:
     """Scalars of a training by tag."""
 
     curves: dict[str, Curve] = field(default_factory=dict)
-    seconds: float = 0.0  # duration of all training sessions
+    seconds: float = 0.0  # duration of the training, over all its files
     unread: list[str] = field(default_factory=list)  # a sentence for each damaged file
 
 
@@ -64,12 +64,12 @@ def read_event_file(path: Path) -> tuple[Scalars, str]:
 def read_history(folder: Path) -> History:
     """Read the training curves from the event files of a run.
 
-    Each session of a run writes one file. The values of a resumed or repeated training replace
-    earlier ones from its first step on. Sessions without a training loss and without a step above
+    Each command on a run writes one file. The values of a resumed or repeated training replace
+    earlier ones from its first step on. Files without a training loss and without a step above
     0 are no trainings and are left out.
     """
     history = History()
-    sessions: list[tuple[float, float, Scalars]] = []
+    parts: list[tuple[float, float, Scalars]] = []
     for path in sorted(folder.glob(PATTERN)):
         try:
             scalars, flaw = read_event_file(path)
@@ -77,9 +77,9 @@ def read_history(folder: Path) -> History:
             scalars, flaw = {}, f"{path.name} cannot be read: {error.strerror}."
         history.unread += [flaw] if flaw else []
         times = [scalar.wall_time for values in scalars.values() for scalar in values]
-        sessions += [(min(times), max(times), scalars)] if times else []
+        parts += [(min(times), max(times), scalars)] if times else []
     curves: dict[str, dict[int, float]] = {}
-    for begin, end, scalars in sorted(sessions, key=lambda session: session[0]):
+    for begin, end, scalars in sorted(parts, key=lambda part: part[0]):
         steps = {it.step for tag in scalars if tag.startswith(_OF_TRAINING) for it in scalars[tag]}
         if TRAINED not in scalars and not any(steps):
             continue

@@ -33,7 +33,7 @@ _DEFAULTS: dict[str, Any] = {"frame_range": [0, None], "sample_every": 1}
 
 
 def glance(runs: Sequence[Run], groups: Sequence[Group]) -> Iterator[Part]:
-    """Yield the table of a few figures of each run."""
+    """Yield a summary table with the main metrics of each run."""
     figures = [_figures(run, groups) for run in runs]
     table = pd.DataFrame(figures, [run.name for run in runs], dtype=object).T
     table = table[(table != NONE).any(axis="columns")]
@@ -194,7 +194,7 @@ def _rollouts_of(name: str) -> str:
 
 
 def _which(name: str) -> str:
-    """Return the rollouts that a table's or picture's name tells, in parentheses."""
+    """Return the description of the rollouts from a file's name, in parentheses."""
     which = name.removeprefix(ROLLED).removeprefix("_").replace("_", " ")
     return f" ({which})" if which else ""
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from lightning import Trainer
 
+from fluidsnet.errors import UserError
 from fluidsnet.reporting.run_folder import run_folder
 
 #: Folder in a run's folder that holds the results folders.
@@ -28,13 +29,26 @@ def results_folder(trainer: Trainer) -> Path:
     Args:
         trainer: Trainer whose data module has `identity`; without one the run's folder is
             returned.
+
+    Raises:
+        UserError: The data cannot be read, or the folder cannot be written.
     """
     run = run_folder(trainer)
     data: Any = getattr(trainer, "datamodule", None)
     if not hasattr(data, "identity"):
         return run
-    folder = _claim(run / RESULTS, data.identity("test")) if trainer.is_global_zero else None
+    folder: Path | UserError | None = None
+    if trainer.is_global_zero:
+        try:
+            folder = _claim(run / RESULTS, data.identity("test"))
+        except UserError as error:
+            folder = error
+        except OSError as error:
+            folder = UserError(f"{run / RESULTS} cannot be written: {error.strerror}.")
+    # Also an error is shared: the other processes wait for it.
     shared: Any = trainer.strategy.broadcast(folder)
+    if isinstance(shared, UserError):
+        raise shared
     return Path(shared)
 
 
@@ -56,18 +70,21 @@ def results_folders(run: Path) -> dict[Path, dict[str, Any]]:
 
 
 def _claim(results: Path, identity: Mapping[str, Any]) -> Path:
-    name = Path(identity["root"]).name or "data"
+    name = Path(identity["root"]).resolve().name or "data"
     text = json.dumps(identity, indent=2)
     folders = (results / (name if number == 1 else f"{name}_{number}") for number in count(1))
-    folder = next(folder for folder in folders if _is_same(_note(folder), json.loads(text)))
+    folder = next(folder for folder in folders if _is_free(folder, json.loads(text)))
     folder.mkdir(parents=True, exist_ok=True)
     (folder / DATA_FILE).write_text(f"{text}\n", "utf-8")
     return folder
 
 
-def _is_same(note: dict[str, Any] | None, identity: dict[str, Any]) -> bool:
-    """Return whether a folder is free or holds results on the same data, wherever these lie."""
-    return note is None or {**note, "root": ""} == {**identity, "root": ""}
+def _is_free(folder: Path, identity: dict[str, Any]) -> bool:
+    """Return whether a folder is empty or holds results on the same data, wherever these lie."""
+    if not (folder / DATA_FILE).exists():
+        return True
+    note = _note(folder)
+    return note is not None and {**note, "root": ""} == {**identity, "root": ""}
 
 
 def _note(folder: Path) -> dict[str, Any] | None:

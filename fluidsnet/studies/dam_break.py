@@ -42,7 +42,7 @@ class Dam:
 
     @classmethod
     def of(cls, particles: int) -> Dam:
-        """Return the dam break whose column of whole layers is nearest to a particle number."""
+        """Return the dam break whose number of particles is nearest to a given one."""
         spacing = 2 * RADIUS
         unscaled = float(np.prod(np.array(SHARES) * np.array(DOMAIN))) / spacing**3
         scale = max((particles / unscaled) ** (1 / 3), 4 * spacing / min(DOMAIN))

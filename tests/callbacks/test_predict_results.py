@@ -216,6 +216,28 @@ def test_results_on_several_data_sets_are_kept_apart(sample: Path, tmp_path: Pat
     assert not [path for path in (tmp_path / "run").iterdir() if path.suffix in (".csv", ".png")]
 
 
+def test_results_whose_note_is_damaged_are_not_overwritten(sample: Path, tmp_path: Path) -> None:
+    model, source = made(sample)
+    run = tmp_path / "run" / "results"
+    for expected in ("dam_break", "dam_break_2"):
+        trainer(tmp_path, OneStepTable()).test(model, source, verbose=False)
+        assert (run / expected / "one_step.csv").exists()
+        (run / "dam_break" / "data.json").write_text("{")
+
+
+def test_starts_on_one_frame_count_apart(sample: Path, tmp_path: Path) -> None:
+    model, source = made(sample)
+    starts: tuple[int | float, ...]
+    for name, starts in (("one", (0,)), ("two", (0, 0.0))):
+        metrics = RolloutMetrics(steps=2, starts=starts, name=name)
+        trainer(tmp_path, metrics).test(model, source, verbose=False)
+    folder = tmp_path / "run" / "results" / "dam_break"
+    one, two = ((folder / f"rollout_metrics_{name}.csv").read_text() for name in ("one", "two"))
+    assert one == two
+    assert metrics._suite is not None
+    assert all(bool(metric.known.all()) for metric in metrics._suite.metrics["truth"][:1])
+
+
 def test_each_module_in_the_folder_of_callbacks_has_a_callback() -> None:
     for path in sorted(Path(callbacks.__file__).parent.glob("[a-z]*.py")):
         module = import_module(f"callbacks.{path.stem}")

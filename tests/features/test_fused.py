@@ -285,3 +285,13 @@ def _resident() -> int:
     if not statm.exists():
         pytest.skip("only Linux tells what is in memory now")
     return int(statm.read_text().split()[1]) * 4096
+
+
+def test_walls_that_need_a_gradient_get_one() -> None:
+    batch, feature = _frames((60, 40)), NeighborMean().requires_grad_(False)
+    batch.solid_position.requires_grad_()
+    search, inputs = CellListCPU(), ParticleState()
+    assert fused_local(batch, search, feature, inputs) is None
+    found = feature(batch, search(batch), inputs)
+    (gradient,) = torch.autograd.grad(found.sum(), batch.solid_position)
+    assert gradient.abs().max() > 0

@@ -1,1 +1,1 @@
-"""``fluidsnet ablations``: what the paper claims of target and global feature, tried."""
+"""Ablation study: test the paper's claims about the target and the global feature."""
