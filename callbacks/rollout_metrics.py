@@ -118,7 +118,7 @@ class RolloutMetrics(Callback, ChartSource, RolloutObserver):
             self._folder = results_folder(trainer)
 
     def charts(self, module: FluidsNet) -> Charts:
-        """Return charts of the position errors of models and baselines."""
+        """Return TensorBoard charts of the position errors of models and baselines."""
         if not self.every_n_validations:
             return {}
         steps = [step for step in CHARTED if self.steps is None or step <= self.steps]

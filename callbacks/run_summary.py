@@ -55,6 +55,13 @@ class RunSummary(Callback):
 
     on_test_start = on_predict_start = on_train_start
 
+    def on_fit_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Print the checkpoint and the next command."""
+        checkpoints = (self._folder / "checkpoints" / name for name in ("best.ckpt", "last.ckpt"))
+        path = next((path for path in checkpoints if path.exists()), None)
+        if trainer.is_global_zero and path is not None:
+            print(f"{path}\nNext: fluidsnet test --run {self._folder}", flush=True)
+
 
 def _count(number: int, unit: str) -> str:
     return f"{number:,} {unit}{'' if number == 1 else 's'}"

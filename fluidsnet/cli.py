@@ -50,7 +50,9 @@ class Parser(LightningArgumentParser):
         Raises:
             UserError: Always.
         """
-        raise _cause(ex) or UserError(f"{message}\nSee `{self.prog} --help`.") from ex
+        # Parsers of a class's arguments are named after the running script.
+        prog = self.prog if self.prog.startswith("fluidsnet") else "fluidsnet"
+        raise _cause(ex) or UserError(f"{message}\nSee `{prog} --help`.") from ex
 
 
 class SaveFitConfig(SaveConfigCallback):

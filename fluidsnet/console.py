@@ -1,4 +1,4 @@
-"""Silences messages of Lightning and PyTorch that do not help the user of a command."""
+"""Silence messages of Lightning and PyTorch that do not help the user of a command."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ _MESSAGES = re.compile(
     "|GPU available|TPU available"
     "|Seed set to"
     "|Restoring states from|Loaded model weights"
+    "|Loading `train_dataloader` to estimate"
     "|`Trainer.fit` stopped"
     "|Trainer already configured with model summary"
 )

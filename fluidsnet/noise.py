@@ -34,7 +34,7 @@ class StartNoise(nn.Module):
         self.drift_deviation.copy_(statistics.drift_deviation)
 
     def forward(self, particles: Particles) -> Particles:
-        """Return the state with noise."""
+        """Return the state with noise, whose strength is drawn for each frame."""
         strength = particles.position.new_empty(particles.frames, 1).uniform_(0, self.most)
         strength = strength[particles.frame]
         return particles.moved(

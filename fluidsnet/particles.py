@@ -108,7 +108,7 @@ _STEPS_AND_ROWS: dict[str, Any] = {"join": partial(_concatenate, axis=1)}
 _FRAME_INDEX: dict[str, Any] = {"join": _frame_index}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Particles(_Batch):
     """The states of one or more frames of one scene, frame after frame.
 
@@ -154,6 +154,10 @@ class Particles(_Batch):
             frames=1,
             scene=scene,
         )
+
+    def __repr__(self) -> str:
+        counts = f"{len(self):,} fluid, {len(self.solid_position):,} solid"
+        return f"Particles({counts}, frames={self.frames}, device={self.position.device})"
 
     def moved(self, position: Tensor, velocity: Tensor) -> Particles:
         """Return the particles with a new position (N, 3), m, and velocity (N, 3), m/s."""

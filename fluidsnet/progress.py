@@ -52,8 +52,14 @@ class Progress(tqdm):  # type: ignore[type-arg]
 
     def close(self) -> None:
         """Show the last status and end the bar."""
-        if self._terminal or self.disable:
+        if self.disable:
+            return
+        if self._terminal:
             super().close()
+            if not self.leave:
+                # tqdm moves the cursor back for the bar of the first line only.
+                self.fp.write("\r")
+                self.fp.flush()
             return
         if self.leave:
             self._write()

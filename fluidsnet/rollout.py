@@ -54,7 +54,7 @@ class RolloutObserver:
     """Interface of a callback that receives each state of the rollouts of `predict`."""
 
     def on_rollout_start(self, start: RolloutStart) -> None:
-        """Run before the first step."""
+        """Do nothing; called before the first step of each rollout."""
 
     def on_rollout_step(
         self, start: RolloutStart, step: int, states: Mapping[str, Particles]
@@ -68,4 +68,4 @@ class RolloutObserver:
         """
 
     def on_rollout_end(self, start: RolloutStart) -> None:
-        """Run after the last step, or after an error ended the rollout."""
+        """Do nothing; called after the last step, or after an error ended the rollout."""

@@ -170,7 +170,7 @@ def _spans(place: Any, density: float) -> Any:
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _sort(place: Any, frame: Any, frames: int, density: float, size: Any) -> Any:
-    """Return start, row, place and frame of `CellTable` by a counting sort."""
+    """Sort particles by cell (counting sort); return the arrays of a `CellTable`."""
     count = len(place)
     cells = frames * size[0] * size[1] * size[2]
     cell = np.empty(count, np.int32)

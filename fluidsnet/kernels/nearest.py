@@ -158,7 +158,7 @@ def list_near(squared: Any, candidates: int, limit: Any, near: Any) -> Any:
 
 @njit(cache=True, error_model="numpy")
 def drop_farthest(squared: Any, row: Any, near: Any, found: int, k: int) -> Any:
-    """Drop the farthest neighbor, of equally far ones the highest row, until k are left."""
+    """Remove the farthest until k are left, of equally far ones the higher row; return how many."""
     while found > k:
         worst, far, highest = 0, squared[near[0]], row[near[0]]
         for i in range(1, found):

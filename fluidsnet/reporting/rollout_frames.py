@@ -83,7 +83,7 @@ class FirstRollout(RolloutObserver, ABC):
 
 
 def keep_frames(frames: Frames, step: int, states: Mapping[str, Particles]) -> None:
-    """Add a step to the frames of each predictor that has a state."""
+    """Store position and velocity after a step, as NumPy arrays, for each predictor."""
     for name, kept in frames.items():
         if name in states:
             position, velocity = states[name].position, states[name].velocity

@@ -31,10 +31,10 @@ _COLUMNS = (
 # Columns that fit a terminal: header, predictor (None is the row's), metric and factor.
 _PRINTED = (
     ("error mm", None, "position_error_mm", 1),
-    ("constant velocity mm", "constant_velocity", "position_error_mm", 1),
+    ("const. velocity mm", "constant_velocity", "position_error_mm", 1),
     ("ballistic mm", "ballistic", "position_error_mm", 1),
     ("chamfer mm", None, "chamfer_mm", 1),
-    ("energy error %", None, "kinetic_energy", 100),
+    ("energy %", None, "kinetic_energy", 100),
     ("escaped %", None, "escaped", 100),
 )
 
@@ -65,9 +65,11 @@ def write_rollout_metrics(
     header = ("predictor", "steps", "time s", "simulations", *(title for _, title, _ in _COLUMNS))
     write_table(path, header, rows)
     models = [predictor for predictor in results if predictor not in BASELINES]
+    # A single model needs no name.
+    named = len(models) > 1
     printed: list[list[Cell]] = [
         [
-            model.replace("_", " "),
+            *([model.replace("_", " ")] if named else []),
             step,
             step * time_step,
             *(_cell(results[of or model], name, step, unit) for _, of, name, unit in _PRINTED),
@@ -75,7 +77,8 @@ def write_rollout_metrics(
         for model in models
         for step in steps
     ]
-    table = markdown(("predictor", "steps", "time s", *(title for title, *_ in _PRINTED)), printed)
+    header = (*(["predictor"] if named else []), "steps", "time s", *(row[0] for row in _PRINTED))
+    table = markdown(header, printed)
     broken = [
         f"{'The model' if model == 'model' else model.replace('_', ' ')}'s rollout of /{name} from "
         f"frame {frame} is not finite from step {step:.0f} on."

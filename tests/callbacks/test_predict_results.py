@@ -118,7 +118,7 @@ def test_predict_measures_as_test_does(
     assert predicted == (run / "rollout_metrics.csv").read_text()
     assert len({row["predictor"] for row in rows(run / "rollout_metrics_predict.csv")}) == 5
     printed = capsys.readouterr().out
-    assert printed.startswith("| predictor") and "\n\n" not in printed
+    assert printed.startswith("| steps") and "\n\n" not in printed
     assert printed.splitlines()[-1] == str(run / "rollout_metrics_predict.md")
 
 
