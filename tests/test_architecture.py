@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -154,3 +155,17 @@ def test_the_network_knows_neither_lightning_nor_hdf5() -> None:
 def test_no_dumping_grounds() -> None:
     names = {path.stem for path in modules().values()}
     assert not names & {"utils", "util", "helpers", "common", "misc"}
+
+
+def test_no_import_circles() -> None:
+    known = modules()
+    graph: dict[str, set[str]] = {}
+    for module, path in known.items():
+        names = imports(path)
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom):
+                # A module may be imported from its package.
+                names |= {f"{node.module}.{alias.name}" for alias in node.names}
+        graph[module] = names & known.keys()
+    assert sum(map(len, graph.values())) > len(known)
+    TopologicalSorter(graph).prepare()  # raises CycleError
