@@ -25,7 +25,7 @@ class Progress(tqdm):  # type: ignore[type-arg]
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         self._terminal = bool((kwargs.get("file") or sys.stderr).isatty())
-        self._written = time.monotonic()
+        self._written, self._line = time.monotonic(), ""
         # tqdm puts no space between a rate and its unit.
         kwargs["unit"] = f" {kwargs.get('unit', 'it').strip()}"
         if not self._terminal:
@@ -69,5 +69,8 @@ class Progress(tqdm):  # type: ignore[type-arg]
 
     def _write(self) -> None:
         self._written = time.monotonic()
-        self.fp.write(f"{self}\n")
-        self.fp.flush()
+        line = str(self)
+        if line != self._line:
+            self._line = line
+            self.fp.write(f"{line}\n")
+            self.fp.flush()
