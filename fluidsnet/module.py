@@ -206,10 +206,7 @@ class FluidsNet(LightningModule):
     def load_from_checkpoint(cls, checkpoint_path: Any, *args: Any, **kwargs: Any) -> Self:
         """Load a module with its weights, also from a checkpoint of an earlier version.
 
-        Args:
-            checkpoint_path: Path or file of the checkpoint.
-            *args: As for Lightning's method.
-            **kwargs: As for Lightning's method, and blocks that are not plain values.
+        Arguments are those of Lightning's method, and blocks that are not plain values.
 
         Raises:
             UserError: The checkpoint does not match the blocks.
@@ -231,18 +228,6 @@ class FluidsNet(LightningModule):
         for name in check(checkpoint, self.named_models(), self._resuming):
             rank_zero_info(f"The checkpoint's twin {name!r} is left out; the model alone is used.")
 
-    def on_train_start(self) -> None:
-        self._check_time_step()
-
-    def on_validation_start(self) -> None:
-        self._check_time_step()
-
-    def on_test_start(self) -> None:
-        self._check_time_step()
-
-    def on_predict_start(self) -> None:
-        self._check_time_step()
-
     def _check_time_step(self) -> None:
         if self.model.time_step == 0:
             raise UserError(
@@ -250,6 +235,8 @@ class FluidsNet(LightningModule):
                 "or a run's folder with --run."
             )
         self.model.check_time_step(self._data_module().time_step)
+
+    on_train_start = on_validation_start = on_test_start = on_predict_start = _check_time_step
 
     def _data_module(self) -> Any:
         data = getattr(self.trainer, "datamodule", None)
