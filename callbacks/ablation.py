@@ -18,6 +18,7 @@ from fluidsnet.model import BLOCKS, Block, Model, can_be
 from fluidsnet.module import FluidsNet
 from fluidsnet.particles import Transitions
 from fluidsnet.reporting.charts import Charts, ChartSource
+from fluidsnet.reporting.requirements import require_fluidsnet
 from fluidsnet.same_settings import same_settings
 from fluidsnet.training_cost import training_costs
 
@@ -82,8 +83,7 @@ class Ablation(Callback, ChartSource):
             UserError: The module is not a FluidsNet, the twin would not differ, two twins have one
                 name, or the losses are scaled.
         """
-        if not isinstance(pl_module, FluidsNet):
-            raise UserError("Ablation makes twins of FluidsNet only.")
+        module = require_fluidsnet(self, pl_module)
         callbacks: list[Callback] = trainer.callbacks  # type: ignore[attr-defined]
         ablations = [callback for callback in callbacks if isinstance(callback, Ablation)]
         if sum(ablation.name == self.name for ablation in ablations) > 1:
@@ -93,17 +93,15 @@ class Ablation(Callback, ChartSource):
                 "With precision 16-mixed a step that overflows in one model is left out in both, "
                 "which couples them; use bf16-mixed or 32."
             )
-        twin = pl_module.model.twin({self.block: deepcopy(self.variant)})
-        known = pl_module.named_models().get(self.name)
-        if not same_settings(
-            *(self._block_of(model) for model in (twin, known or pl_module.model))
-        ):
+        twin = module.model.twin({self.block: deepcopy(self.variant)})
+        known = module.named_models().get(self.name)
+        if not same_settings(*(self._block_of(model) for model in (twin, known or module.model))):
             if known is not None:
                 raise UserError(
                     f"This FluidsNet already has a twin {self.name!r} with another {self.block}; "
                     "choose another name."
                 )
-            pl_module.add_model(self.name, twin)
+            module.add_model(self.name, twin)
         elif known is None:
             raise UserError(
                 f"Ablation {self.name!r}: the model's own {self.block} is "

@@ -31,7 +31,7 @@ _MEASURE = "from fluidsnet.studies.speed.measure import main; main()"
 
 @dataclass(frozen=True)
 class SpeedOptions:
-    """What to measure.
+    """Options of the speed study.
 
     Attributes:
         particles: Numbers of fluid particles. For each, the study takes the dam break of whole
