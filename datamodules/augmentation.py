@@ -19,7 +19,7 @@ class Augmentation(ABC):
 
     @abstractmethod
     def check(self, scene: Scene) -> None:
-        """Check that changed samples are true in a scene; called once before training.
+        """Check that changed samples are true in the scenes; called once before training.
 
         Raises:
             UserError: they are not.
@@ -39,20 +39,21 @@ class BoxSymmetry(Augmentation):
     """
 
     def check(self, scene: Scene) -> None:
-        if int((scene.gravity.abs() > 0).sum()) != 1:
-            gravity = ", ".join(f"{component:g}" for component in scene.gravity.tolist())
-            raise UserError(
-                "The augmentation BoxSymmetry needs gravity along one axis, and here it is "
-                f"({gravity}) m/s²; leave out data.augmentation."
-            )
+        for name, components in zip(scene.names, scene.gravity.tolist(), strict=True):
+            if sum(component != 0 for component in components) != 1:
+                gravity = ", ".join(f"{component:g}" for component in components)
+                raise UserError(
+                    f"The augmentation BoxSymmetry needs gravity along one axis, and in {name} it "
+                    f"is ({gravity}) m/s²; leave out data.augmentation."
+                )
 
     def __call__(self, sample: Transitions) -> Transitions:
         state, scene = sample.state, sample.state.scene
         self.check(scene)
-        first, second = torch.nonzero(scene.gravity == 0).flatten().tolist()
+        first, second = torch.nonzero(scene.gravity[0] == 0).flatten().tolist()
         swapped, *mirrored = (torch.rand(3, device=scene.gravity.device) < 0.5).tolist()
         axes, sign = [0, 1, 2], torch.ones(3, device=scene.gravity.device)
-        if swapped and bool(torch.isclose(scene.extent[first], scene.extent[second])):
+        if swapped and bool(torch.isclose(scene.extent[0, first], scene.extent[0, second])):
             axes[first], axes[second] = second, first
         sign[[first, second]] -= 2 * torch.tensor(mirrored, device=sign.device)
         center = (scene.domain_lower + scene.domain_upper) / 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser
+from collections.abc import Iterable
 from pathlib import Path
 from textwrap import indent
 
@@ -11,9 +12,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from datamodules.schema import DAMAGE, Header, open_valid, simulations
+from datamodules.schema import DAMAGE, Header, SceneAttributes, open_valid, simulations
 from fluidsnet.errors import UserError
 from fluidsnet.progress import Progress
+
+#: Texts of `_scene_texts` that are not worth a line.
+_USUAL = {"from": "(0, 0, 0) m", "surface tension": "0", "periodic": "no", "dimension": "3"}
 
 
 def inspect_simulation(
@@ -26,6 +30,7 @@ def inspect_simulation(
         on suspicious values.
     """
     name, radius = group.name.lstrip("/"), header.particle_radius
+    scene = SceneAttributes.read(group)
     frames, fluid = group["position"].shape[:2]
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
     fastest, escaped, worst_jump = 0.0, 0, 0.0
@@ -41,8 +46,8 @@ def inspect_simulation(
         lower, upper = np.minimum(lower, position.min(0)), np.maximum(upper, position.max(0))
         fastest = max(fastest, float(np.linalg.norm(velocity, axis=1).max()))
         outside = np.any(
-            (position < np.subtract(header.domain_lower, radius))
-            | (position > np.add(header.domain_upper, radius)),
+            (position < np.subtract(scene.domain_lower, radius))
+            | (position > np.add(scene.domain_upper, radius)),
             axis=1,
         )
         escaped = max(escaped, int(outside.sum()))
@@ -84,31 +89,64 @@ def describe(path: Path) -> str:
         header = Header.read(file)
         try:
             reports = [inspect_simulation(file[name], header) for name in simulations(file)]
+            scenes = [_scene_texts(SceneAttributes.read(file[name])) for name in simulations(file)]
         except DAMAGE as error:
             raise UserError(
                 f"{path}: a frame cannot be read; the file is damaged ({error})."
             ) from error
-    rows = [row for row, _, _ in reports]
-    size = " x ".join(f"{edge:g}" for edge in np.subtract(header.domain_upper, header.domain_lower))
+    differ = {name for scene in scenes for name in scene if scene[name] != scenes[0][name]}
+    rows = [
+        row | {name: text for name, text in scene.items() if name in differ}
+        for (row, _, _), scene in zip(reports, scenes, strict=True)
+    ]
+    shared = {
+        name: text
+        for name, text in scenes[0].items()
+        if name not in differ and text != _USUAL.get(name)
+    }
     corners = np.array([corners for _, corners, _ in reports])
-    lower = ", ".join(f"{x:.3f}" for x in corners[:, 0].min(axis=0))
-    upper = ", ".join(f"{x:.3f}" for x in corners[:, 1].max(axis=0))
+    about = {
+        "scene": header.scene,
+        "solver": f"{header.solver}, version {header.solver_version}",
+        "particle radius": f"{header.particle_radius:g} m, support {header.support_radius:g} m",
+        "frame interval": f"{1000 * header.dt:g} ms",
+        **shared,
+    }
     lines = [
         f"{path}: {path.stat().st_size / 1e6:.1f} MB, {len(reports)} simulation(s)",
-        f"  scene            {header.scene} in {size} m",
-        f"  solver           {header.solver}, version {header.solver_version}",
-        f"  particle radius  {header.particle_radius:g} m, support {header.support_radius:g} m",
-        f"  frame interval   {1000 * header.dt:g} ms",
-        f"  gravity          {', '.join(f'{g:g}' for g in header.gravity)} m/s²",
-        f"  density          {header.density0:g} kg/m³, viscosity {header.viscosity:g}",
+        *(f"  {name:<16} {text}" for name, text in about.items()),
         "",
         indent(pd.DataFrame(rows).to_string(index=False), "  "),
         "",
-        f"  fluid lies between ({lower}) and ({upper}) m",
+        f"  fluid lies between ({_vector(corners[:, 0].min(axis=0))}) and "
+        f"({_vector(corners[:, 1].max(axis=0))}) m",
     ]
     suspicions = [f"  /{row['simulation']}: {text}" for row, _, texts in reports for text in texts]
     lines += ["", "suspicious:", *suspicions] if suspicions else ["  nothing suspicious"]
     return "\n".join(lines)
+
+
+def _scene_texts(scene: SceneAttributes) -> dict[str, str]:
+    """Return the attributes of a scene as text with units."""
+    return {
+        "domain": f"{_numbers(np.subtract(scene.domain_upper, scene.domain_lower), ' x ')} m",
+        "from": f"({_numbers(scene.domain_lower)}) m",
+        "gravity": f"{_numbers(scene.gravity)} m/s²",
+        "density": f"{scene.density0:g} kg/m³",
+        "viscosity": f"{scene.viscosity:g}",
+        "surface tension": f"{scene.surface_tension:g}",
+        "periodic": ", ".join(axis for axis, on in zip("xyz", scene.periodic, strict=True) if on)
+        or "no",
+        "dimension": f"{scene.dimension}",
+    }
+
+
+def _numbers(values: Iterable[float], separator: str = ", ") -> str:
+    return separator.join(f"{value:g}" for value in values)
+
+
+def _vector(values: Iterable[float]) -> str:
+    return ", ".join(f"{value:.3f}" for value in values)
 
 
 def inspect_command(arguments: list[str]) -> None:

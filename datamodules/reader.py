@@ -12,7 +12,7 @@ import h5py
 import torch
 from torch import Tensor
 
-from datamodules.schema import DAMAGE, VECTORS, Header, open_valid, simulations
+from datamodules.schema import DAMAGE, LENGTHS, Header, SceneAttributes, open_valid, simulations
 from fluidsnet.errors import UserError
 from fluidsnet.particles import Particles
 from fluidsnet.scene import Scene
@@ -32,7 +32,8 @@ class FrameReader:
         frames: Number of frames of each simulation, by name, in order of names.
 
     Raises:
-        UserError: the file is missing, damaged or not a data file, or its solids move.
+        UserError: the file is missing, damaged or not a data file, or has a simulation that
+            FluidsNet cannot step: in two dimensions, periodic, or with solids that move.
     """
 
     def __init__(self, path: Path) -> None:
@@ -40,15 +41,15 @@ class FrameReader:
         self._handle: h5py.File | None = None
         self._process = -1
         self._solids: dict[str, Tensor] = {}
-        self._scenes: dict[int, Scene] = {}
+        self._scenes: dict[tuple[str, int], Scene] = {}
+        self._attributes: dict[str, SceneAttributes] = {}
         self.frames: dict[str, int] = {}
         with open_valid(path) as file:
             self.header = Header.read(file)
             for name in simulations(file):
-                if file[name]["solid_position"].ndim == 3:
-                    raise UserError(
-                        f"{path}: the solids of /{name} move; only solids at rest are supported."
-                    )
+                self._attributes[name] = SceneAttributes.read(file[name])
+                if reason := _unsupported(file[name], self._attributes[name]):
+                    raise UserError(f"{path}: {reason}.")
                 self.frames[name] = len(file[name]["position"])
 
     @cached_property
@@ -57,27 +58,41 @@ class FrameReader:
         with self.path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
 
-    def scene(self, stride: int) -> Scene:
-        """Return the scene of the file for steps of this many frames, always the same object."""
-        header = self.header
-        if stride not in self._scenes:
+    def scene(self, simulation: str, stride: int) -> Scene:
+        """Return the scene of a simulation for steps of this many frames, always the same object.
+
+        Its name is the file's and the simulation's, such as test/00000.
+        """
+        if (simulation, stride) not in self._scenes:
+            attributes, header = self._attributes[simulation], self.header
             # Kept for training too, where a tensor made in inference mode cannot be used.
             with torch.inference_mode(False):
-                lower, upper, gravity = (
-                    torch.tensor(getattr(header, name), dtype=torch.float32) for name in VECTORS
+                self._scenes[simulation, stride] = Scene.single(
+                    attributes.domain_lower,
+                    attributes.domain_upper,
+                    attributes.gravity,
+                    header.particle_radius,
+                    header.support_radius,
+                    time_step=header.dt * stride,
+                    density0=attributes.density0,
+                    viscosity=attributes.viscosity,
+                    surface_tension=attributes.surface_tension,
+                    name=f"{self.path.stem}/{simulation}",
                 )
-                radius, support, dt = header.particle_radius, header.support_radius, header.dt
-                self._scenes[stride] = Scene(lower, upper, gravity, radius, support, dt * stride)
-        return self._scenes[stride]
+        return self._scenes[simulation, stride]
 
-    def check_same_scene(self, other: FrameReader) -> None:
-        """Raise a `UserError` if another file has another scene or frame interval."""
-        for name in (*VECTORS, "particle_radius", "support_radius", "dt"):
+    def scenes(self, stride: int) -> list[Scene]:
+        """Return the scenes of all simulations for steps of this many frames."""
+        return [self.scene(simulation, stride) for simulation in self.frames]
+
+    def check_same_resolution(self, other: FrameReader) -> None:
+        """Raise a `UserError` if another file has another resolution or frame interval."""
+        for name in LENGTHS:
             value, expected = getattr(self.header, name), getattr(other.header, name)
             if value != expected:
                 raise UserError(
                     f"{self.path}: {name} is {value}, and {expected} in {other.path.name}; "
-                    "the files of a data set must have one scene."
+                    "the files of a data set must have one resolution and frame interval."
                 )
 
     def fluid(self, simulation: str, frame: int) -> tuple[Tensor, Tensor]:
@@ -86,12 +101,13 @@ class FrameReader:
         position = self._read(f"{simulation}/position", frame, what)
         return position, self._read(f"{simulation}/velocity", frame, what)
 
-    def state(self, simulation: str, frame: int, scene: Scene) -> Particles:
-        """Read one frame with its solids."""
+    def state(self, simulation: str, frame: int, stride: int) -> Particles:
+        """Read one frame with its solids, in the scene for steps of this many frames."""
         position, velocity = self.fluid(simulation, frame)
         if simulation not in self._solids:
             what = f"the solids of /{simulation}"
             self._solids[simulation] = self._read(f"{simulation}/solid_position", (), what)
+        scene = self.scene(simulation, stride)
         return Particles.single(position, velocity, self._solids[simulation], scene)
 
     def close(self) -> None:
@@ -121,6 +137,17 @@ class FrameReader:
         return {**self.__dict__, "_handle": None, "_process": -1}
 
 
+def _unsupported(group: h5py.Group, scene: SceneAttributes) -> str | None:
+    """Return why a simulation cannot be stepped; None if it can."""
+    if group["solid_position"].ndim == 3:
+        return f"the solids of {group.name} move; only solids at rest are supported"
+    if any(scene.periodic):
+        return f"{group.name} is periodic; only closed and open domains are supported"
+    if scene.dimension != 3:
+        return f"{group.name} is in two dimensions; only three are supported"
+    return None
+
+
 def read_state(
     path: str | Path, time_step: SupportsFloat, frame: int = 0, simulation: str | None = None
 ) -> Particles:
@@ -147,6 +174,6 @@ def read_state(
             f"{path}: a time step of {step:g} s is no multiple of the frame interval, "
             f"{interval:g} s."
         )
-    state = reader.state(name, frame, reader.scene(stride))
+    state = reader.state(name, frame, stride)
     reader.close()
     return state

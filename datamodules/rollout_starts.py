@@ -86,7 +86,7 @@ class HDF5RolloutStarts(Dataset[RolloutStart]):
         name, first = self.names[index], self.first[index]
         return RolloutStart(
             name=name,
-            state=self.reader.state(name, first, self.reader.scene(self.stride)),
+            state=self.reader.state(name, first, self.stride),
             steps=self.steps[index],
             truth=SimulationTruth(self.reader, name, self.stride, first),
             first=first,

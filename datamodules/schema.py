@@ -3,6 +3,8 @@
 One file holds one split of a data set, one group of it one simulation::
 
     /                attributes: schema_version, scene, solver, ...  (Header)
+    /00000/          attributes: domain_lower, gravity, ...  (SceneAttributes); those that a
+                     group does not have are read from the file
     /00000/position  (T, N, 3) float32, m        one frame a chunk
     /00000/velocity  (T, N, 3) float32, m/s      one frame a chunk
     /00000/time      (T,) float64, s
@@ -11,13 +13,14 @@ One file holds one split of a data set, one group of it one simulation::
     /00000/solid_velocity  (T, M, 3) float32, m/s  only where solids move
     /00000/          attributes, none of them needed: seed, scene_parameters (JSON), threads
 
-Row i is the same particle in every frame.
+Row i is the same particle in every frame. Other groups and attributes are ignored. Schema 1,
+whose scene attributes are the file's alone, is read as it is.
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any, Self
 
@@ -26,7 +29,10 @@ import numpy as np
 
 from fluidsnet.errors import UserError
 
-SCHEMA_VERSION = 1
+#: Version that is written.
+SCHEMA_VERSION = 2
+#: Versions that are read.
+READ_VERSIONS = (1, 2)
 
 #: Splits of a data set; each has a file.
 SPLITS = ("train", "val", "test")
@@ -39,56 +45,118 @@ COMPRESSION: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "sh
 #: Exceptions that h5py raises for a damaged file.
 DAMAGE = (OSError, KeyError, RuntimeError)
 
-#: Attributes of three numbers.
-VECTORS = ("domain_lower", "domain_upper", "gravity")
-_FLOATS = ("particle_radius", "support_radius", "dt", "density0", "viscosity")
+
+@dataclass(frozen=True)
+class SceneAttributes:
+    """Scene of one simulation: attributes of its group, or of the file for all of its groups."""
+
+    domain_lower: tuple[float, float, float]  # corner of the box, m
+    domain_upper: tuple[float, float, float]
+    gravity: tuple[float, float, float]  # m/s²
+    density0: float  # rest density, kg/m³
+    viscosity: float  # coefficient of the solver
+    surface_tension: float = 0.0  # coefficient of the solver
+    periodic: tuple[bool, bool, bool] = (False, False, False)  # axes that wrap around
+    dimension: int = 3  # in 2 the third coordinate is constant and ignored
+
+    def write(self, group: h5py.Group) -> None:
+        """Write the attributes to a group of an open file."""
+        for field in fields(self):
+            group.attrs[field.name] = np.array(getattr(self, field.name), _TYPES[field.name][0])
+
+    @classmethod
+    def read(cls, group: h5py.Group) -> Self:
+        """Read the attributes of a simulation in an open file.
+
+        Raises:
+            UserError: an attribute is missing, or its value is not possible.
+        """
+        values: dict[str, Any] = {}
+        for field in fields(cls):
+            name, (dtype, shape) = field.name, _TYPES[field.name]
+            owner = group if name in group.attrs else group.file
+            if name not in owner.attrs:
+                if field.default is MISSING:
+                    raise UserError(
+                        f"{group.name}: the attribute {name} is missing; expected on the "
+                        "simulation's group or on the file."
+                    )
+                continue
+            value = np.asarray(owner.attrs[name])
+            if value.dtype.kind not in "biuf" or value.shape != shape:
+                expected = "three" if shape else "one"
+                kind = "booleans" if dtype is np.bool_ else f"number{'s' if shape else ''}"
+                raise UserError(f"{_where(owner, name)} must be {expected} {kind}.")
+            if not np.isfinite(value).all():
+                raise UserError(f"{_where(owner, name)} is {value.tolist()}; it must be finite.")
+            plain = value.astype(dtype).tolist()
+            values[name] = tuple(plain) if shape else plain
+        scene = cls(**values)
+        if not np.greater(scene.domain_upper, scene.domain_lower).all():
+            raise UserError(f"{group.name}: domain_upper must be above domain_lower on every axis.")
+        if scene.dimension not in (2, 3):
+            raise UserError(f"{group.name}: dimension is {scene.dimension}; it must be 2 or 3.")
+        return scene
+
+
+_VECTOR, _NUMBER = (np.float64, (3,)), (np.float64, ())
+#: Type and shape of each scene attribute in a file.
+_TYPES: dict[str, tuple[Any, tuple[int, ...]]] = {
+    "domain_lower": _VECTOR,
+    "domain_upper": _VECTOR,
+    "gravity": _VECTOR,
+    "density0": _NUMBER,
+    "viscosity": _NUMBER,
+    "surface_tension": _NUMBER,
+    "periodic": (np.bool_, (3,)),
+    "dimension": (np.int64, ()),
+}
+
+
+def _where(owner: h5py.Group, name: str) -> str:
+    return f"the attribute {name}" if owner.name == "/" else f"{owner.name}: the attribute {name}"
 
 
 @dataclass(frozen=True)
 class Header:
-    """Attributes of a file."""
+    """Attributes of a file that hold for all of its simulations."""
 
     scene: str  # name of the scene kind
     solver: str
     solver_version: str
     solver_parameters: dict[str, Any]  # under the solver's names
-    domain_lower: tuple[float, float, float]  # corner of the box, m
-    domain_upper: tuple[float, float, float]
-    gravity: tuple[float, float, float]  # m/s²
     particle_radius: float  # m
     support_radius: float  # m, four particle radii
     dt: float  # time between two frames, s
-    density0: float  # rest density, kg/m³
-    viscosity: float  # coefficient of the solver
 
     def write(self, file: h5py.File) -> None:
         """Write the attributes to an open file."""
         file.attrs["schema_version"] = SCHEMA_VERSION
         for field in fields(self):
             value = getattr(self, field.name)
-            if field.name == "solver_parameters":
-                value = json.dumps(value)
-            elif field.name in VECTORS:
-                value = np.array(value, dtype=np.float64)
-            file.attrs[field.name] = value
+            file.attrs[field.name] = (
+                json.dumps(value) if field.name == "solver_parameters" else value
+            )
 
     @classmethod
     def read(cls, file: h5py.File) -> Self:
         """Read the attributes of an open, valid file."""
-        values: dict[str, Any] = {}
-        for field in fields(cls):
-            value = file.attrs[field.name]
-            if field.name == "solver_parameters":
-                value = json.loads(value)
-            elif field.name in (*VECTORS, *_FLOATS):
-                value = np.asarray(value, dtype=np.float64).tolist()
-            values[field.name] = tuple(value) if field.name in VECTORS else value
-        return cls(**values)
+        values: dict[str, Any] = {field.name: file.attrs[field.name] for field in fields(cls)}
+        values["solver_parameters"] = json.loads(values["solver_parameters"])
+        return cls(**values | {name: float(values[name]) for name in LENGTHS})
+
+
+#: Attributes of the file that are one positive number.
+LENGTHS = ("particle_radius", "support_radius", "dt")
 
 
 def simulations(file: h5py.File) -> list[str]:
-    """Return the names of the simulations in a file, sorted."""
-    return sorted(name for name in file if isinstance(file[name], h5py.Group))
+    """Return the names of the simulations in a file, sorted.
+
+    These are the groups whose name is a number or that have a data set `position`.
+    """
+    groups = (name for name in file if isinstance(file[name], h5py.Group))
+    return sorted(name for name in groups if name.isdecimal() or "position" in file[name])
 
 
 def create_frames(group: h5py.Group, particles: int) -> tuple[h5py.Dataset, h5py.Dataset]:
@@ -144,28 +212,27 @@ def _check_header(file: h5py.File) -> None:
     version = file.attrs.get("schema_version")
     if version is None:
         raise UserError("the attribute schema_version is missing; it is not a FluidsNet data file.")
-    if version != SCHEMA_VERSION:
-        raise UserError(f"schema_version is {version}; FluidsNet reads {SCHEMA_VERSION}.")
+    if version not in READ_VERSIONS:
+        versions = " and ".join(map(str, READ_VERSIONS))
+        raise UserError(f"schema_version is {version}; FluidsNet reads {versions}.")
     for field in fields(Header):
         if field.name not in file.attrs:
             raise UserError(f"the attribute {field.name} is missing.")
-    for names, shape, expected in ((VECTORS, (3,), "three numbers"), (_FLOATS, (), "one number")):
-        for name in names:
-            value = np.asarray(file.attrs[name])
-            if not np.issubdtype(value.dtype, np.number) or value.shape != shape:
-                raise UserError(f"the attribute {name} must be {expected}.")
+    for name in LENGTHS:
+        value = np.asarray(file.attrs[name])
+        if value.dtype.kind not in "iuf" or value.shape != ():
+            raise UserError(f"the attribute {name} must be one number.")
+        if not (np.isfinite(value) and value > 0):
+            raise UserError(f"the attribute {name} is {value}; it must be finite and above zero.")
     try:
-        header = Header.read(file)
+        Header.read(file)
     except (TypeError, ValueError) as error:
         raise UserError("the attribute solver_parameters must be JSON.") from error
-    if not np.greater(header.domain_upper, header.domain_lower).all():
-        raise UserError("domain_upper must be above domain_lower on every axis.")
-    for name in ("particle_radius", "support_radius", "dt"):
-        if not getattr(header, name) > 0:
-            raise UserError(f"the attribute {name} must be above zero.")
 
 
 def _check_simulation(group: h5py.Group) -> None:
+    SceneAttributes.read(group)
+
     def shape(name: str, *expected: int) -> tuple[int, ...]:
         dataset, where = group.get(name), f"{group.name}/{name}"
         if not isinstance(dataset, h5py.Dataset):

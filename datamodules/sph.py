@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Sequence
 from functools import cached_property
@@ -93,14 +94,20 @@ class SPHDataModule(LightningDataModule):
 
     @cached_property
     def scene(self) -> Scene:
-        """Scene of the data set, from the first of its files that exists."""
+        """Scene of the first simulation, in the first file of the data set that exists."""
         for split in SPLITS:
             if (self.root / f"{split}.h5").exists():
-                return self._reader(split).scene(self.stride)
+                return self._reader(split).scenes(self.stride)[0]
         raise UserError(
             f"{self.root} holds none of train.h5, val.h5 and test.h5; "
             "make them with `fluidsnet generate`, or set data.root."
         )
+
+    @property
+    def scenes(self) -> Scene:
+        """Scenes of all simulations in the files of the present stage, one after another."""
+        readers = self._readers.values()
+        return Scene.collate([scene for reader in readers for scene in reader.scenes(self.stride)])
 
     @property
     def time_step(self) -> float:
@@ -109,10 +116,9 @@ class SPHDataModule(LightningDataModule):
 
     @property
     def grid_shape(self) -> tuple[int, int, int]:
-        """Cells of the background grid along x, y and z: the fewest that cover the domain."""
+        """Cells of the background grid along x, y and z: the fewest that cover `scene`'s domain."""
         # The tolerance keeps 1.5 / 0.1 from becoming 16 by rounding.
-        cells = torch.ceil(self.scene.extent.double() / self.voxel_size - 1e-4).clamp_min(1)
-        x, y, z = cells.int().tolist()
+        x, y, z = (max(math.ceil(edge / self.voxel_size - 1e-4), 1) for edge in self.scene.edges[0])
         return x, y, z
 
     @cached_property
@@ -134,7 +140,7 @@ class SPHDataModule(LightningDataModule):
             "file": ", ".join(reader.path.name for reader in readers),
             "sha256": ", ".join(reader.sha256 for reader in readers),
             "stride": self.stride,
-            "time_step": readers[0].scene(self.stride).time_step,
+            "time_step": self.stride * readers[0].header.dt,
             "frame_range": list(self.frame_range),
             "sample_every": self.sample_every,
             "simulations": sum(len(reader.frames) for reader in readers),
@@ -149,12 +155,12 @@ class SPHDataModule(LightningDataModule):
         # Split by frame, the samples of each split come from these two files.
         dealt = self.split_by == "frame" and stage != "predict"
         for split in ("train", "val") if dealt else splits:
-            self._reader(split).check_same_scene(next(iter(self._readers.values())))
+            self._reader(split).check_same_resolution(next(iter(self._readers.values())))
         if stage != "predict":
             for split in splits:
                 self._samples_of(split)
         if stage == "fit" and self.augmentation is not None:
-            self.augmentation.check(self.scene)
+            self.augmentation.check(self.scenes)
 
     def train_dataloader(self) -> DataLoader[Transitions]:
         return self._loader("train", shuffle=True)

@@ -75,7 +75,7 @@ class TransitionDataset(Dataset[Transitions]):
     def __getitem__(self, index: int) -> Transitions:
         sample = self.samples[index]
         reader, simulation = sample.reader, sample.simulation
-        state = reader.state(simulation, sample.frame, reader.scene(self.stride))
+        state = reader.state(simulation, sample.frame, self.stride)
         later = [
             reader.fluid(simulation, sample.frame + step * self.stride)
             for step in range(1, self.steps + 1)
@@ -98,7 +98,8 @@ def statistics(dataset: TransitionDataset) -> Statistics:
         state, velocity = sample.state, sample.state.velocity.double()
         displacement = sample.next_position[0].double() - state.position.double()
         change = sample.next_velocity[0].double() - velocity
-        rows = torch.stack([velocity, change, displacement - state.scene.time_step * velocity])
+        drift = (displacement - state.scene.time_step * velocity) / state.scene.support_radius
+        rows = torch.stack([velocity, change, drift])
         count += len(state)
         sums += rows.sum(dim=1)
         squares += rows.square().sum(dim=1)

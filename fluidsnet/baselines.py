@@ -19,7 +19,8 @@ def constant_velocity(particles: Particles, steps: int = 1) -> Particles:
 
 def ballistic(particles: Particles, steps: int = 1) -> Particles:
     """Predict free fall: v' = v + t·g and x' = x + t·v + ½t²·g after t = `steps` time steps."""
-    time, gravity = steps * particles.scene.time_step, particles.scene.gravity
+    time = steps * particles.scene.time_step
+    gravity = particles.per_particle(particles.scene.gravity)
     return particles.moved(
         particles.position + time * particles.velocity + time**2 / 2 * gravity,
         particles.velocity + time * gravity,

@@ -44,7 +44,7 @@ class BatchedPrediction:
 
         Args:
             states: States of one or more frames each, read when they are needed. Only states
-                with the same scene object share a batch.
+                in boxes of the same edges share a batch.
         """
         memory = free_bytes(self.device) // 2 if self.memory is None else self.memory
         self.batches = []
@@ -59,7 +59,8 @@ class BatchedPrediction:
 
     def _fits(self, states: Sequence[Particles], memory: int) -> bool:
         needed = sum(map(_count, states)) * self.bytes_per_particle
-        return self._largest > 0 and states[-1].scene is states[0].scene and needed <= memory
+        joins = states[-1].scene.joins(states[0].scene)
+        return self._largest > 0 and joins and needed <= memory
 
     # Not around the generator, whose caller may need gradients between two states.
     @torch.no_grad()

@@ -45,9 +45,12 @@ def check(checkpoint: dict[str, Any], models: Mapping[str, Model], resumed: bool
         Names of the twins that were left out.
 
     Raises:
-        UserError: Blocks differ, or a twin is missing on either side.
+        UserError: Blocks differ, a twin is missing on either side, or the weights of a block are
+            those of an earlier version and cannot be converted.
     """
     saved: Note = checkpoint.get(NOTE, {})
+    for name in models:
+        _check_current(checkpoint["state_dict"], f"{PREFIX}{name}.network.")
     for block, there, here in _differences(saved.get("model", {}), models["model"]):
         if block == _GRID:
             raise UserError(
@@ -83,6 +86,33 @@ def check(checkpoint: dict[str, Any], models: Mapping[str, Model], resumed: bool
     for name in [name for name in weights if name.startswith(prefixes)]:
         del weights[name]
     return left_out
+
+
+def _check_current(weights: Mapping[str, Any], prefix: str) -> None:
+    """Check that no block of a model has weights of an earlier version.
+
+    Args:
+        weights: State dict of the checkpoint.
+        prefix: Prefix of the names of the model's weights.
+
+    Raises:
+        UserError: One has.
+    """
+    # Until the field was sparse it had the weights of nn.Conv3d, (channels, inputs, 3, 3, 3).
+    kernel = weights.get(f"{prefix}global_feature.enter.weight")
+    if kernel is not None and kernel.ndim == 5:
+        raise UserError(
+            "The global_feature VoxelField of this checkpoint covered the whole domain, and that "
+            "of this version covers only the cells around particles: train the network again."
+        )
+    drift = f"{prefix}target.drift_deviation"
+    if drift in weights:
+        raise UserError(
+            f"The target DisplacementTarget of this checkpoint has its deviation in m, {drift}, "
+            "and that of this version in support radii: train the network again, or replace that "
+            f"entry of the state_dict by {prefix}target.drift_radii, divided by the support "
+            "radius of the training data."
+        )
 
 
 def _note(model: Model) -> dict[str, Any]:

@@ -8,10 +8,11 @@ import warnings
 import torch
 import torch_scatter  # noqa: F401  # registers the operators named below
 
+from fluidsnet.features.sparse_convolution import SparseConvolution
 from fluidsnet.network import Network
 
 #: Operators of torch-scatter that torch.compile cannot trace and runs as they are.
-_OPAQUE = ("gather_csr", "segment_sum_csr", "segment_mean_csr", "scatter_sum", "scatter_mean")
+_OPAQUE = ("gather_csr", "segment_sum_csr", "segment_mean_csr")
 
 
 def compile_network(network: Network) -> None:
@@ -29,5 +30,10 @@ def compile_network(network: Network) -> None:
     for name in _OPAQUE:
         if hasattr(torch.ops.torch_scatter, name):
             torch._dynamo.disallow_in_graph(getattr(torch.ops.torch_scatter, name))
+    for module in network.modules():
+        if isinstance(module, SparseConvolution):
+            # Its loop over chunks of cells would be compiled again for each number of chunks.
+            forward = torch.compiler.disable(module.forward)  # type: ignore[no-untyped-call]
+            module.forward = forward  # type: ignore[method-assign]
     for block in (network.local, network.global_feature, network.head):
         block.compile(dynamic=True)

@@ -24,6 +24,7 @@ from fluidsnet.network import GlobalFeatureFactory, Network
 from fluidsnet.noise import StartNoise
 from fluidsnet.particles import Particles, Transitions
 from fluidsnet.rng import preserve_rng_state
+from fluidsnet.scene import Scene
 from fluidsnet.statistics import Statistics
 from fluidsnet.target import Target, VelocityTarget
 from fluidsnet.walls import OpenWalls, Walls
@@ -110,6 +111,16 @@ class Model(nn.Module):
     def forward(self, particles: Particles) -> Particles:
         """Return the predicted state one time step later, as `step`."""
         return self.step(particles)
+
+    def check_scenes(self, scenes: Scene) -> None:
+        """Check that one model can step frames of all of these scenes.
+
+        Raises:
+            UserError: The global feature is bound to a grid, and the domains differ.
+        """
+        feature = self.network.global_feature
+        if feature.needs_its_grid:
+            scenes.check_one_box(type(feature).__name__)
 
     def check_time_step(self, time_step: float) -> None:
         """Check that the model was trained at a time step, s; an untrained model takes any.

@@ -99,9 +99,11 @@ class FluidsNet(LightningModule):
 
     def setup(self, stage: str) -> None:
         self._resuming = stage == "fit"
+        data: Any = self._data_module()
+        for model in self.named_models().values():
+            model.check_scenes(data.scenes)
         if stage == "fit":
             # A resumed checkpoint is loaded after this and overwrites these values.
-            data: Any = self._data_module()
             for model in self.named_models().values():
                 model.set_statistics(data.statistics, data.time_step)
             # All processes compute the same buffers. Broadcasting them at each call costs more

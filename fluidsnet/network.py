@@ -16,6 +16,7 @@ from fluidsnet.features.input import InputFeature
 from fluidsnet.features.local import LocalFeature
 from fluidsnet.features.perceptron import Perceptron
 from fluidsnet.features.voxel import GridShape
+from fluidsnet.neighbors.reach import within_reach
 from fluidsnet.neighbors.search import NeighborSearch
 from fluidsnet.particles import Particles
 from fluidsnet.statistics import Statistics
@@ -96,7 +97,7 @@ class Network(nn.Module):
         local = fused_local(particles, self.neighbors, self.local, self.inputs)
         if local is None:
             with record_function("search"):
-                neighbors = self.neighbors(particles)
+                reached, neighbors = within_reach(particles, self.neighbors(particles))
             with record_function("local"):
-                local = self.local(particles, neighbors, self.inputs)
+                local = self.local(reached, neighbors, self.inputs)
         return torch.cat([self.inputs(particles), local], dim=1)

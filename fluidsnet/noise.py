@@ -37,9 +37,9 @@ class StartNoise(nn.Module):
         """Return the state with noise, whose strength is drawn for each frame."""
         strength = particles.position.new_empty(particles.frames, 1).uniform_(0, self.most)
         strength = strength[particles.frame]
+        drift = self.drift_deviation * particles.scene.support_radius
         return particles.moved(
-            particles.position
-            + strength * self.drift_deviation * torch.randn_like(particles.position),
+            particles.position + strength * drift * torch.randn_like(particles.position),
             particles.velocity
             + strength * self.change_deviation * torch.randn_like(particles.velocity),
         )

@@ -2,115 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
-from functools import partial
-from itertools import accumulate
-from typing import Any, Protocol, Self
+from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
+from fluidsnet.batch import COUNT, FRAME_INDEX, PART, ROWS, STEPS_AND_ROWS, Batch, Movable
 from fluidsnet.scene import Scene
 
 
-@dataclass(frozen=True)
-class _Movable:
-    """Base of the dataclasses that hold tensors: moves all of them at once."""
-
-    def to(self, device: torch.device | str, non_blocking: bool = False) -> Self:
-        """Return a copy on a device."""
-        return self._each(lambda value: value.to(device, non_blocking=non_blocking))
-
-    def pin_memory(self) -> Self:
-        """Return a copy in page-locked memory, for an asynchronous copy to a GPU."""
-        return self._each(lambda value: value.pin_memory())
-
-    def _each(self, change: Callable[[Any], Any]) -> Self:
-        values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
-        movable = (Tensor, Scene, _Movable)
-        return replace(
-            self, **{n: change(value) for n, value in values.items() if isinstance(value, movable)}
-        )
-
-
-@dataclass(frozen=True)
-class _Batch(_Movable):
-    """Base of the batches. Each field's metadata has `join`: how its values are collated."""
-
-    @classmethod
-    def collate(cls, batches: Sequence[Self]) -> Self:
-        """Join batches into one, in the order given.
-
-        Raises:
-            ValueError: there is no batch, or two of them differ in scene, number of steps,
-                dtype or device.
-        """
-        if not batches:
-            raise ValueError(f"cannot collate {cls.__name__}: there are no batches to join")
-        return cls(
-            **{entry.name: entry.metadata["join"](batches, entry.name) for entry in fields(cls)}
-        )
-
-
-def _concatenate(batches: Sequence[Any], name: str, axis: int = 0) -> Tensor:
-    return torch.cat(_tensors(batches, name, axis), dim=axis)
-
-
-def _frame_index(batches: Sequence[Any], name: str) -> Tensor:
-    offsets = accumulate((batch.frames for batch in batches[:-1]), initial=0)
-    frames = _tensors(batches, name, axis=0)
-    return torch.cat([frame + offset for frame, offset in zip(frames, offsets, strict=True)])
-
-
-def _tensors(batches: Sequence[Any], name: str, axis: int) -> list[Tensor]:
-    """Return a field of each batch, and check that the tensors can be joined along an axis."""
-    tensors: list[Tensor] = [getattr(batch, name) for batch in batches]
-    first = tensors[0]
-    for other in tensors[1:]:
-        for what, one, two in (
-            ("dtype", first.dtype, other.dtype),
-            ("device", first.device, other.device),
-            ("shape", _shape(first, axis), _shape(other, axis)),
-        ):
-            if one != two:
-                raise ValueError(f"cannot collate {name}: its {what} is {one} and {two}")
-    return tensors
-
-
-def _shape(tensor: Tensor, axis: int) -> str:
-    """Return the shape as text, with N for the axis that tensors are joined along."""
-    sizes = (str(size) for size in tensor.shape)
-    return f"({', '.join('N' if at == axis else size for at, size in enumerate(sizes))})"
-
-
-def _sum(batches: Sequence[Any], name: str) -> int:
-    return sum(getattr(batch, name) for batch in batches)
-
-
-def _same_scene(batches: Sequence[Any], name: str) -> Scene:
-    scene: Scene = getattr(batches[0], name)
-    for batch in batches[1:]:
-        # The identity test comes first: a comparison of values copies from a GPU to the host.
-        other = getattr(batch, name)
-        if other is not scene and (difference := scene.difference(other)):
-            raise ValueError(f"cannot collate states of different scenes: {name}.{difference}")
-    return scene
-
-
-def _collate(batches: Sequence[Any], name: str) -> Any:
-    parts = [getattr(batch, name) for batch in batches]
-    return type(parts[0]).collate(parts)
-
-
-_ROWS: dict[str, Any] = {"join": _concatenate}
-_STEPS_AND_ROWS: dict[str, Any] = {"join": partial(_concatenate, axis=1)}
-_FRAME_INDEX: dict[str, Any] = {"join": _frame_index}
-
-
 @dataclass(frozen=True, repr=False)
-class Particles(_Batch):
-    """The states of one or more frames of one scene, frame after frame.
+class Particles(Batch):
+    """The states of one or more frames, frame after frame.
 
     Attributes:
         position: (N, 3) of the fluid particles, m.
@@ -120,17 +24,17 @@ class Particles(_Batch):
         solid_velocity: (M, 3) of the solid particles, m/s; zero where they rest.
         solid_frame: (M,) int64, as `frame`.
         frames: Number of frames in the batch.
-        scene: Scene of all frames.
+        scene: Scene with a row for each frame.
     """
 
-    position: Tensor = field(metadata=_ROWS)
-    velocity: Tensor = field(metadata=_ROWS)
-    frame: Tensor = field(metadata=_FRAME_INDEX)
-    solid_position: Tensor = field(metadata=_ROWS)
-    solid_velocity: Tensor = field(metadata=_ROWS)
-    solid_frame: Tensor = field(metadata=_FRAME_INDEX)
-    frames: int = field(metadata={"join": _sum})
-    scene: Scene = field(metadata={"join": _same_scene})
+    position: Tensor = field(metadata=ROWS)
+    velocity: Tensor = field(metadata=ROWS)
+    frame: Tensor = field(metadata=FRAME_INDEX)
+    solid_position: Tensor = field(metadata=ROWS)
+    solid_velocity: Tensor = field(metadata=ROWS)
+    solid_frame: Tensor = field(metadata=FRAME_INDEX)
+    frames: int = field(metadata=COUNT)
+    scene: Scene = field(metadata=PART)
 
     @classmethod
     def single(
@@ -163,13 +67,24 @@ class Particles(_Batch):
         """Return the particles with a new position (N, 3), m, and velocity (N, 3), m/s."""
         return replace(self, position=position, velocity=velocity)
 
+    def per_particle(self, values: Tensor) -> Tensor:
+        """Return rows of a value per frame that broadcast against the fluid particles.
+
+        Args:
+            values: (F, ...) a row for each frame, such as `scene.gravity`.
+
+        Returns:
+            (N, ...) each particle's row; (1, ...) where there is one frame.
+        """
+        return values if self.frames == 1 else values.index_select(0, self.frame)
+
     def __len__(self) -> int:
         """Return the number of fluid particles."""
         return len(self.position)
 
 
 @dataclass(frozen=True)
-class Transitions(_Batch):
+class Transitions(Batch):
     """States and the true states one or more steps later.
 
     Attributes:
@@ -179,10 +94,10 @@ class Transitions(_Batch):
         simulation: (F,) int64, number of the simulation of each frame.
     """
 
-    state: Particles = field(metadata={"join": _collate})
-    next_position: Tensor = field(metadata=_STEPS_AND_ROWS)
-    next_velocity: Tensor = field(metadata=_STEPS_AND_ROWS)
-    simulation: Tensor = field(metadata=_ROWS)
+    state: Particles = field(metadata=PART)
+    next_position: Tensor = field(metadata=STEPS_AND_ROWS)
+    next_velocity: Tensor = field(metadata=STEPS_AND_ROWS)
+    simulation: Tensor = field(metadata=ROWS)
 
 
 class Truth(Protocol):
@@ -198,7 +113,7 @@ class Truth(Protocol):
 
 
 @dataclass(frozen=True)
-class RolloutStart(_Movable):
+class RolloutStart(Movable):
     """Start state, length and true states of one rollout.
 
     Attributes:

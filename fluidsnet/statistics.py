@@ -18,7 +18,7 @@ class Statistics:
         velocity_deviation: () of v about its mean, m/s.
         change_mean: (3,) of v' - v, m/s.
         change_deviation: () of v' - v about its mean, m/s.
-        drift_deviation: () of x' - x - Δt·v about its mean, m.
+        drift_deviation: () of x' - x - Δt·v about its mean, support radii.
     """
 
     velocity_mean: Tensor

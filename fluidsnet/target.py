@@ -112,32 +112,37 @@ class DisplacementTarget(Target):
     gives_displacement = True
 
     change_deviation: Tensor
-    drift_deviation: Tensor
+    drift_radii: Tensor
 
     def __init__(self) -> None:
         super().__init__()
         self.register_buffer("change_deviation", torch.ones(()))
-        self.register_buffer("drift_deviation", torch.ones(()))
+        self.register_buffer("drift_radii", torch.ones(()))
 
     def set_statistics(self, statistics: Statistics) -> None:
         self.change_deviation.copy_(statistics.change_deviation)
-        self.drift_deviation.copy_(statistics.drift_deviation)
+        self.drift_radii.copy_(statistics.drift_deviation)
 
     def decode(self, output: Tensor, particles: Particles) -> Motion:
         velocity, displacement = self._free_fall(particles)
         return Motion(
             velocity + self.change_deviation * output[:, :3],
-            displacement + self.drift_deviation * output[:, 3:],
+            displacement + self._drift(particles) * output[:, 3:],
         )
 
     def encode(self, particles: Particles, position: Tensor, velocity: Tensor) -> Tensor:
         free_velocity, free_displacement = self._free_fall(particles)
         change = (velocity - free_velocity) / self.change_deviation
-        drift = (position - particles.position - free_displacement) / self.drift_deviation
+        drift = (position - particles.position - free_displacement) / self._drift(particles)
         return torch.cat([change, drift], dim=1)
 
+    def _drift(self, particles: Particles) -> Tensor:
+        """Return the deviation of d in m, ()."""
+        return self.drift_radii * particles.scene.support_radius
+
     def _free_fall(self, particles: Particles) -> tuple[Tensor, Tensor]:
-        step, gravity = particles.scene.time_step, particles.scene.gravity
+        step = particles.scene.time_step
+        gravity = particles.per_particle(particles.scene.gravity)
         return (
             particles.velocity + step * gravity,
             step * particles.velocity + step**2 / 2 * gravity,

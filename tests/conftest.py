@@ -50,13 +50,14 @@ def device(request: pytest.FixtureRequest) -> torch.device:
 
 @pytest.fixture
 def scene(device: torch.device) -> Scene:
-    return Scene(
-        domain_lower=torch.tensor([0.0, 0.0, 0.0], device=device),
-        domain_upper=torch.tensor([1.5, 1.0, 1.5], device=device),
-        gravity=torch.tensor([0.0, -9.81, 0.0], device=device),
+    return Scene.single(
+        domain_lower=(0.0, 0.0, 0.0),
+        domain_upper=(1.5, 1.0, 1.5),
+        gravity=(0.0, -9.81, 0.0),
         particle_radius=0.05,
         support_radius=0.2,
         time_step=0.02,
+        device=device,
     )
 
 

@@ -20,6 +20,7 @@ import yaml
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.plugins.custom_scalar.layout_pb2 import Layout
 
+from datamodules.generate.bodies import Block, MovingBody, from_description
 from datamodules.generate.command import _parser as generate_parser
 from fluidsnet.arguments import with_base
 from fluidsnet.errors import UserError
@@ -203,18 +204,20 @@ def test_every_scene_config_draws_its_scenes(scene: Path, tmp_path: Path) -> Non
     parser = generate_parser()
     options = parser.instantiate(parser.parse_args([f"--config={scene}", f"--root={tmp_path}"]))
     recipe = options.recipe
-    bodies = recipe.scene.sample(np.random.default_rng(0), recipe.particle_radius)
-    for body in bodies:
+    drawn = recipe.scene.sample(np.random.default_rng(0), recipe.particle_radius)
+    for body in drawn.bodies:
         lower, upper = body.bounds()
-        assert (lower >= 0).all() and (upper <= np.array(recipe.scene.domain)).all()
+        assert (lower >= 0).all() and (upper <= np.array(drawn.domain)).all()
 
 
 # The paper's simulations take hours: the same scene of coarse particles takes a moment.
 @pytest.mark.usefixtures("real_solver")
 @pytest.mark.parametrize("scene", sorted((CONFIGS / "scene").glob("*.yaml")), ids=lambda p: p.stem)
 def test_every_scene_config_is_simulated(scene: Path, tmp_path: Path) -> None:
-    recipe = yaml.safe_load(scene.read_text())["recipe"]
-    radius = min(recipe["scene"]["init_args"]["domain"]) / 24
+    parser = generate_parser()
+    recipe = parser.instantiate(parser.parse_args([f"--config={scene}", "--root=x"])).recipe
+    drawn = recipe.scene.sample(np.random.default_rng(0), recipe.particle_radius)
+    radius = min(drawn.domain) / 24
     root = tmp_path / "data"
     changes = {"particle_radius": radius, "train": 1, "val": 0, "test": 0, "frames": 3}
     main(
@@ -224,25 +227,25 @@ def test_every_scene_config_is_simulated(scene: Path, tmp_path: Path) -> None:
         ]
     )
     with h5py.File(root / "train.h5") as file:
-        position = file["00000/position"][()]
-        assert file.attrs["scene"] == recipe["scene"]["class_path"].rpartition(".")[2]
-        assert file["00000/time"][-1] == pytest.approx(2 * recipe["frame_interval"])
-        bodies = json.loads(file["00000"].attrs["scene_parameters"])
+        position, velocity = file["00000/position"][()], file["00000/velocity"][0]
+        assert file.attrs["scene"] == type(recipe.scene).__name__
+        assert file["00000/time"][-1] == pytest.approx(2 * recipe.frame_interval)
+        described = json.loads(file["00000"].attrs["scene_parameters"])
     assert len(position) == 3
     # Nothing that was drawn is missing, such as the pool below a drop.
-    for body in bodies:
-        if body["shape"] == "block":
-            lower, upper = np.array(body["lower"]), np.array(body["upper"])
+    for body in map(from_description, described):
+        lower, upper = body.bounds()
+        if isinstance(body, MovingBody):
+            lower, upper = lower - radius, upper + radius
+            volume = body.shape.volume()
         else:
-            lower = np.array(body["center"]) - body["radius"]
-            upper = np.array(body["center"]) + body["radius"]
+            volume = np.prod(upper - lower) * (1.0 if isinstance(body, Block) else np.pi / 6)
         inside = ((position[0] > lower) & (position[0] < upper)).all(axis=1)
-        share = 1.0 if body["shape"] == "block" else np.pi / 6
-        volume = inside.sum() * (2 * radius) ** 3
-        assert volume == pytest.approx(share * np.prod(upper - lower), rel=0.25)
+        assert inside.sum() * (2 * radius) ** 3 == pytest.approx(volume, rel=0.25)
     # Free fall or the start of a collapse, and no burst.
-    moved = np.abs(position[2] - position[0]).max()
-    assert 0 < moved < 0.2 * radius + 20 * (2 * recipe["frame_interval"]) ** 2
+    elapsed = 2 * recipe.frame_interval
+    moved = np.abs(position[2] - position[0] - elapsed * velocity).max()
+    assert 0 < moved < 0.2 * radius + 20 * elapsed**2
 
 
 def test_the_demo_trains_as_it_is_composed(run: Run, tmp_path: Path) -> None:

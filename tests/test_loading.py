@@ -17,10 +17,10 @@ from datamodules import read_state
 from fluidsnet import FluidsNet
 from fluidsnet.checkpoint_migration import migrate
 from fluidsnet.errors import UserError
-from fluidsnet.features import NoGlobalFeature
+from fluidsnet.features import NoGlobalFeature, VoxelField
 from fluidsnet.particles import Particles
 from fluidsnet.rollout import rollout
-from fluidsnet.target import AccelerationTarget
+from fluidsnet.target import AccelerationTarget, DisplacementTarget
 
 #: Trained by the version before models were kept side by side; `step.npz` is its prediction.
 OLD = Path(__file__).parent / "data" / "old_run"
@@ -74,6 +74,56 @@ def test_migration_leaves_a_checkpoint_of_this_version_alone(sample: Path, tmp_p
     names = list(checkpoint["state_dict"])
     migrate(checkpoint)
     assert list(checkpoint["state_dict"]) == names
+
+
+@pytest.mark.parametrize("owner", ["model", "twin"])
+def test_a_field_that_covered_the_domain_is_refused(
+    owner: str, sample: Path, tmp_path: Path
+) -> None:
+    source = data(sample)
+    blocks = {"global_feature": VoxelField} if owner == "model" else {}
+    twins = [] if owner == "model" else [Ablation("global_feature", VoxelField, "twin")]
+    module, path = FluidsNet(source.grid_shape, **blocks), tmp_path / "old.ckpt"
+    runner = trainer(tmp_path, max_steps=1, limit_val_batches=1, callbacks=twins)
+    runner.fit(module, source)
+    runner.save_checkpoint(path)
+    checkpoint = torch.load(path, weights_only=True)
+    weights = checkpoint["state_dict"]
+    for name, value in weights.items():
+        if name.startswith(f"models.{owner}.network.global_feature.") and value.ndim == 3:
+            weights[name] = value.view(3, 3, 3, *value.shape[1:]).permute(4, 3, 2, 1, 0)
+    torch.save(checkpoint, path)
+    message = r"global_feature VoxelField .* covered the whole domain.*: train the network again"
+    if owner == "model":
+        with pytest.raises(UserError, match=message):
+            FluidsNet.load_from_checkpoint(path, **blocks)
+        with pytest.raises(UserError, match=message):
+            trainer(tmp_path).test(module, source, ckpt_path=path, verbose=False)
+    else:
+        # Left out, it does no harm.
+        FluidsNet.load_from_checkpoint(path)
+        with pytest.raises(UserError, match=message):
+            runner.fit(module, source, ckpt_path=path)
+
+
+def test_a_displacement_in_meters_is_refused(sample: Path, tmp_path: Path) -> None:
+    source, path = data(sample), tmp_path / "old.ckpt"
+    blocks = {"global_feature": NoGlobalFeature, "target": DisplacementTarget()}
+    runner = trainer(tmp_path, max_steps=1, limit_val_batches=1)
+    runner.fit(FluidsNet(source.grid_shape, **blocks), source)
+    runner.save_checkpoint(path)
+    checkpoint = torch.load(path, weights_only=True)
+    weights, target = checkpoint["state_dict"], "models.model.network.target."
+    radii = weights.pop(f"{target}drift_radii")
+    weights[f"{target}drift_deviation"] = 0.24 * radii
+    torch.save(checkpoint, path)
+    with pytest.raises(UserError, match=r"target DisplacementTarget .* in m, .*drift_deviation.*"):
+        FluidsNet.load_from_checkpoint(path, **blocks)
+    # As the message says.
+    weights[f"{target}drift_radii"] = weights.pop(f"{target}drift_deviation") / 0.24
+    torch.save(checkpoint, path)
+    again = FluidsNet.load_from_checkpoint(path, **blocks)
+    assert torch.allclose(again.model.network.target.drift_radii.cpu(), radii.cpu())
 
 
 def test_lightning_loads_an_old_checkpoint() -> None:

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import pytest
@@ -19,6 +19,7 @@ from fluidsnet.features import (
 from fluidsnet.neighbors import BruteForce, TorchCluster
 from fluidsnet.network import Network
 from fluidsnet.particles import Particles
+from fluidsnet.scene import Scene
 from fluidsnet.target import AccelerationTarget, DisplacementTarget, VelocityTarget
 
 CELLS = (6, 4, 6)
@@ -125,10 +126,16 @@ def _frames(batch: Particles) -> list[Particles]:
             batch.position[batch.frame == number],
             batch.velocity[batch.frame == number],
             batch.solid_position[batch.solid_frame == number],
-            batch.scene,
+            _scene_of(batch.scene, number),
         )
         for number in range(batch.frames)
     ]
+
+
+def _scene_of(scene: Scene, frame: int) -> Scene:
+    values = {field.name: getattr(scene, field.name) for field in fields(scene)}
+    per_frame = {name for name, value in values.items() if not isinstance(value, float)}
+    return replace(scene, **{name: values[name][frame : frame + 1] for name in per_frame})
 
 
 @pytest.mark.parametrize("training", [False, True])

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import torch
 
+from fluidsnet.errors import UserError
 from fluidsnet.particles import Particles, Transitions
 from fluidsnet.scene import Scene
 
@@ -39,40 +40,56 @@ def test_batches_are_joined_along_their_particles(make_particles: Make) -> None:
     assert torch.equal(batch.next_position[1], state.position + 2)
     assert torch.equal(batch.next_velocity[0], state.velocity - 1)
     assert batch.simulation.tolist() == [0, 1, 0]
-    assert state.scene is first.scene
+    assert len(state.scene) == 3 and state.scene.names == ("scene",) * 3
 
 
-def test_scenes_of_equal_values_are_one_scene(make_particles: Make) -> None:
-    state = make_particles((3, 2))
-    copy = replace(state.scene, gravity=state.scene.gravity.clone())
-    assert Particles.collate([state, replace(state, scene=copy)]).frames == 2
+def test_frames_of_different_scenes_keep_their_own(make_particles: Make, scene: Scene) -> None:
+    moon = Scene.single(
+        (0.0, 0.0, 0.0), (3.0, 1.0, 1.5), (0.0, 0.0, -1.6), 0.05, 0.2, 0.02, viscosity=0.3,
+        name="moon", device=scene.gravity.device,
+    )  # fmt: skip
+    first, other = make_particles((3, 2)), replace(make_particles((2, 1)), scene=moon)
+    batch = Particles.collate([first, other])
+    assert batch.scene.names == ("scene", "moon")
+    assert batch.scene.edges == ((1.5, 1.0, 1.5), (3.0, 1.0, 1.5))
+    assert batch.scene.viscosity.tolist() == pytest.approx([0.0, 0.3])
+    gravity = batch.per_particle(batch.scene.gravity)
+    assert torch.equal(gravity[:3], scene.gravity.expand(3, -1))
+    assert torch.equal(gravity[3:], moon.gravity.expand(2, -1))
+    assert torch.equal(first.per_particle(first.scene.gravity), scene.gravity)
+
+
+def test_boxes_of_other_edges_are_named(make_particles: Make, scene: Scene) -> None:
+    other = Scene.single((1.0, 0.0, 0.0), (4.0, 1.0, 1.5), (0.0, -9.81, 0.0), 0.05, 0.2, 0.02)
+    other = replace(other, names=("wide",)).to(scene.gravity.device)
+    shifted = replace(
+        scene, domain_lower=scene.domain_lower + 1, domain_upper=scene.domain_upper + 1
+    )
+    Scene.collate([scene, shifted]).check_one_box("GlobalVector")
+    assert scene.joins(shifted) and not scene.joins(other)
+    match = r"GlobalVector .*scene \(1.5 x 1 x 1.5 m\) and wide \(3 x 1 x 1.5 m\)"
+    with pytest.raises(UserError, match=match):
+        Scene.collate([scene, other]).check_one_box("GlobalVector")
 
 
 @pytest.mark.parametrize(
     ("field", "change", "values"),
     [
-        (
-            "domain_lower",
-            torch.tensor([0.0, -1.0, 0.0]),
-            r"\[0.0, 0.0, 0.0\] and \[0.0, -1.0, 0.0\]",
-        ),
-        ("domain_upper", torch.tensor([1.5, 2.0, 1.5]), r"\[1.5, 1.0, .* and \[1.5, 2.0, 1.5\]"),
-        ("gravity", torch.zeros(3), r"\[0.0, -9.8\d+, 0.0\] and \[0.0, 0.0, 0.0\]"),
-        ("gravity", torch.zeros(3).double(), r"torch.float32.* and .*torch.float64"),
+        ("gravity", torch.zeros(1, 3).double(), "torch.float32 and torch.float64"),
         ("particle_radius", 0.03, "0.05 and 0.03"),
         ("support_radius", 0.3, "0.2 and 0.3"),
         ("time_step", 0.04, "0.02 and 0.04"),
     ],
 )
-def test_different_scenes_are_not_mixed(
+def test_different_resolutions_and_time_steps_are_not_mixed(
     make_particles: Make, scene: Scene, field: str, change: Any, values: str
 ) -> None:
     state = make_particles((3, 2))
     change = change.to(scene.gravity.device) if isinstance(change, torch.Tensor) else change
     other = replace(state, scene=replace(scene, **{field: change}))
-    with pytest.raises(ValueError, match=rf"different scenes: scene\.{field} is .*{values}"):
+    with pytest.raises(ValueError, match=rf"cannot collate .*{field}.* is {values}"):
         Particles.collate([state, state, other])
-    with pytest.raises(ValueError, match=rf"different scenes: scene\.{field}"):
+    with pytest.raises(ValueError, match=rf"cannot collate .*{field}"):
         Transitions.collate([transitions(state), transitions(other)])
 
 

@@ -7,9 +7,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from datamodules.generate.bodies import Block, Body, Drop, describe, from_description
 from datamodules.generate.mesh import write_box, write_drop
-from datamodules.generate.scenes import Block, Body, Drop, describe
-from datamodules.schema import Header
+from datamodules.generate.particle_file import write_bgeo
+from datamodules.schema import Header, SceneAttributes
 
 SolverName = Literal["WCSPH", "PCISPH", "IISPH", "DFSPH"]
 
@@ -42,6 +43,7 @@ class Job:
 
     output: str  # file to write once the simulation is complete
     header: Header  # attributes of the file, without those that only the solver's process knows
+    scene: SceneAttributes  # attributes of the simulation
     solver_step: float  # time step of the solver, s
     steps_per_frame: int  # solver steps between two stored frames
     frames: int  # number of stored frames, the start included
@@ -58,17 +60,17 @@ class Job:
     def from_json(cls, text: str) -> Job:
         """Return the job that `to_json` wrote."""
         values = json.loads(text)
-        shapes = {"block": Block, "drop": Drop}
         values["header"] = Header(**values["header"])
-        values["bodies"] = [shapes[body.pop("shape")](**body) for body in values["bodies"]]
+        values["scene"] = SceneAttributes(**values["scene"])
+        values["bodies"] = [*map(from_description, values["bodies"])]
         return cls(**values)
 
 
 def scene_file(job: Job, folder: Path) -> dict[str, Any]:
-    """Return a job as a SPlisHSPlasH scene, and write the meshes it needs to a folder."""
-    header, radius = job.header, job.header.particle_radius
+    """Return a job as a SPlisHSPlasH scene, and write the files that it needs to a folder."""
+    header, scene, radius = job.header, job.scene, job.header.particle_radius
     walls = folder / "walls.obj"
-    write_box(walls, header.domain_upper)
+    write_box(walls, scene.domain_upper)
     blocks, models = [], []
     for number, body in enumerate(job.bodies):
         if isinstance(body, Block):
@@ -76,7 +78,7 @@ def scene_file(job: Job, folder: Path) -> dict[str, Any]:
             lower, upper = body.bounds()
             start, end = (lower - radius).tolist(), (upper + radius).tolist()
             blocks.append({"denseMode": 0, "start": start, "end": end})
-        else:
+        elif isinstance(body, Drop):
             mesh = folder / f"body{number}.obj"
             write_drop(mesh, body, radius)
             models.append(
@@ -88,11 +90,15 @@ def scene_file(job: Job, folder: Path) -> dict[str, Any]:
                     "resolutionSDF": [30, 30, 30],
                 }
             )
+        else:
+            particles = folder / f"body{number}.bgeo"
+            write_bgeo(particles, body.particles(radius))
+            models.append({"particleFile": str(particles), "initialVelocity": list(body.velocity)})
     return {
         "Configuration": {
             "particleRadius": radius,
             "simulationMethod": METHODS[header.solver],
-            "gravitation": list(header.gravity),
+            "gravitation": list(scene.gravity),
             "timeStepSize": job.solver_step,
             "cflMethod": 0,
             "boundaryHandlingMethod": AKINCI_2012,
@@ -103,9 +109,9 @@ def scene_file(job: Job, folder: Path) -> dict[str, Any]:
         "Materials": [
             {
                 "id": "Fluid",
-                "density0": header.density0,
+                "density0": scene.density0,
                 "viscosityMethod": 1,
-                "Standard viscosity": {"viscosity": header.viscosity},
+                "Standard viscosity": {"viscosity": scene.viscosity},
             }
         ],
         "RigidBodies": [

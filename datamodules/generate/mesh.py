@@ -1,15 +1,14 @@
-"""Closed triangle meshes for the solver: the walls, a ball, or a mesh of the user."""
+"""Closed triangle meshes written for the solver: the walls, a ball, or a mesh of the user."""
 
 from __future__ import annotations
 
-from collections import Counter
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datamodules.generate.scenes import Drop, Vector
+from datamodules.generate.bodies import Drop, Vector
+from datamodules.generate.obj import read_obj, write_obj
 
 
 def write_box(path: Path, domain: Vector) -> None:
@@ -18,7 +17,7 @@ def write_box(path: Path, domain: Vector) -> None:
     corners = [(x, y, z) for x in (0.0, width) for y in (0.0, height) for z in (0.0, depth)]
     faces = ((1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4))
     triangles = [(a, b, c) for a, b, c, _ in faces] + [(a, c, d) for a, _, c, d in faces]
-    _write_obj(path, np.array(corners), triangles)
+    write_obj(path, np.array(corners), triangles)
 
 
 def write_drop(path: Path, drop: Drop, particle_radius: float) -> None:
@@ -26,12 +25,13 @@ def write_drop(path: Path, drop: Drop, particle_radius: float) -> None:
     if drop.mesh is None:
         vertices, triangles = _ball(drop.radius)
     else:
-        vertices, triangles = _read_obj(Path(drop.mesh))
+        vertices, faces = read_obj(Path(drop.mesh))
+        triangles = (faces + 1).tolist()
         vertices -= (vertices.min(axis=0) + vertices.max(axis=0)) / 2
         vertices *= drop.radius / np.linalg.norm(vertices, axis=1).max()
     if drop.radius < particle_radius:
         raise RuntimeError(f"the drop's radius {drop.radius} m is below the particle radius")
-    _write_obj(path, vertices, triangles)
+    write_obj(path, vertices, triangles)
 
 
 def _ball(radius: float) -> tuple[NDArray[np.float64], list[tuple[int, int, int]]]:
@@ -54,33 +54,3 @@ def _ball(radius: float) -> tuple[NDArray[np.float64], list[tuple[int, int, int]
     ]
     corners = np.concatenate([np.stack(sides, axis=-1).reshape(-1, 3) for sides in triangles])
     return vertices, [(a, b, c) for a, b, c in corners.tolist()]
-
-
-def _write_obj(
-    path: Path, vertices: NDArray[np.float64], triangles: list[tuple[int, int, int]]
-) -> None:
-    with path.open("w") as file:
-        np.savetxt(file, vertices, "v %.9g %.9g %.9g")
-        np.savetxt(file, triangles, "f %d %d %d")
-
-
-def _read_obj(path: Path) -> tuple[NDArray[np.float64], list[tuple[int, int, int]]]:
-    """Read vertices and triangles of an OBJ file; larger faces are split into triangles."""
-    vertices: list[list[float]] = []
-    triangles: list[tuple[int, int, int]] = []
-    if not path.is_file():
-        raise RuntimeError(f"{path}: there is no such file; a closed OBJ surface is needed")
-    for line in path.read_text().splitlines():
-        keyword, *values = line.split() or [""]
-        if keyword == "v":
-            vertices.append([float(value) for value in values[:3]])
-        elif keyword == "f":
-            corners = [int(value.split("/")[0]) for value in values]
-            corners = [corner if corner > 0 else len(vertices) + 1 + corner for corner in corners]
-            triangles += [(corners[0], second, third) for second, third in pairwise(corners[1:])]
-    if not triangles:
-        raise RuntimeError(f"{path}: there are no faces in it; a closed OBJ surface is needed")
-    edges = Counter(frozenset(edge) for a, b, c in triangles for edge in ((a, b), (b, c), (c, a)))
-    if any(count != 2 for count in edges.values()):
-        raise RuntimeError(f"{path}: the surface is open; each edge must belong to two faces")
-    return np.array(vertices), triangles

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from datamodules.generate.bodies import Vector
 from datamodules.generate.job import PARAMETERS, SOLVER_STEPS, Job, SolverName
-from datamodules.generate.scenes import Body, SceneKind, Vector
+from datamodules.generate.scenes import DrawnScene, SceneKind
 from datamodules.generate.symmetry import Symmetries
-from datamodules.schema import SPLITS, Header
+from datamodules.schema import SPLITS, Header, SceneAttributes
 from fluidsnet.errors import UserError
 
 #: Greatest number of draws for a scene that differs from the others.
@@ -23,7 +24,7 @@ class Recipe:
     """Settings that determine a data set.
 
     Attributes:
-        scene: Kind of scene, which draws the fluid.
+        scene: Kind of scene, which draws the fluid and its box.
         particle_radius: Half the spacing of the particles, m.
         train: Number of simulations for training.
         val: Number of simulations for validation.
@@ -35,7 +36,7 @@ class Recipe:
         seed: Seed of the data set; with split and number it seeds each simulation.
         gravity: Acceleration of gravity, m/s².
         density0: Rest density, kg/m³.
-        viscosity: Coefficient of the solver's standard viscosity.
+        viscosity: Coefficient of the solver's standard viscosity, where the scene draws none.
         solver_parameters: Parameters of the pressure solver, under SPlisHSPlasH's names.
     """
 
@@ -76,51 +77,51 @@ class Recipe:
         """Time step of the solver, s: `solver_step`, or the default of the solver."""
         return SOLVER_STEPS[self.solver] if self.solver_step is None else self.solver_step
 
-    def starts(self) -> dict[tuple[str, int], list[Body]]:
-        """Draw the bodies of each simulation, by split and number.
+    def starts(self) -> dict[tuple[str, int], DrawnScene]:
+        """Draw the scene of each simulation, by split and number.
 
         No two starts are mirror images of each other to within a particle radius, since a test
-        on a mirror image of a training simulation would measure memorization. Where the scenes
-        has no other start left, training may have mirror images, but no copies, of its own.
+        on a mirror image of a training simulation would measure memorization. Where the kind of
+        scene has no other start left, training may have mirror images, but no copies, of its own.
 
         Raises:
             UserError: the kind of scene has too few different starts.
         """
-        symmetries = Symmetries(self.scene.domain, self.gravity)
-        drawn: dict[tuple[str, int], list[Body]] = {}
-        held_out: list[list[Body]] = []
+        symmetries = Symmetries(self.gravity)
+        drawn: dict[tuple[str, int], DrawnScene] = {}
+        held_out: list[DrawnScene] = []
 
-        def is_like(others: Iterable[list[Body]], bodies: list[Body]) -> bool:
-            return any(symmetries.alike(bodies, other, self.particle_radius) for other in others)
+        def is_like(others: Iterable[DrawnScene], scene: DrawnScene) -> bool:
+            return any(symmetries.alike(scene, other, self.particle_radius) for other in others)
 
-        def is_new(bodies: list[Body]) -> bool:
-            return not is_like(drawn.values(), bodies)
+        def is_new(scene: DrawnScene) -> bool:
+            return not is_like(drawn.values(), scene)
 
-        def is_mirrored_in_training(bodies: list[Body]) -> bool:
-            return bodies not in drawn.values() and not is_like(held_out, bodies)
+        def is_mirrored_in_training(scene: DrawnScene) -> bool:
+            return scene not in drawn.values() and not is_like(held_out, scene)
 
         # Test and validation are drawn first, so they do not depend on the size of training.
         for split in reversed(SPLITS):
             held_out, wanted = list(drawn.values()), is_new
             for number in range(getattr(self, split)):
                 random = np.random.default_rng(self._entropy(split, number))
-                bodies = self._draw(random, wanted)
-                if bodies is None and split == "train" and wanted is is_new:
+                scene = self._draw(random, wanted)
+                if scene is None and split == "train" and wanted is is_new:
                     wanted = is_mirrored_in_training
-                    bodies = self._draw(random, wanted)
-                if bodies is None:
+                    scene = self._draw(random, wanted)
+                if scene is None:
                     raise UserError(
                         f"{type(self.scene).__name__} draws too few scenes that are no mirror "
                         f"images of each other: {len(drawn)} of "
                         f"{self.train + self.val + self.test} were found; use smaller "
                         "particles, wider ranges or fewer simulations."
                     )
-                drawn[split, number] = bodies
+                drawn[split, number] = scene
         return drawn
 
     def _draw(
-        self, random: np.random.Generator, wanted: Callable[[list[Body]], bool]
-    ) -> list[Body] | None:
+        self, random: np.random.Generator, wanted: Callable[[DrawnScene], bool]
+    ) -> DrawnScene | None:
         """Draw scenes until one is accepted; return None after too many draws."""
         draws = (self.scene.sample(random, self.particle_radius) for _ in range(_DRAWS))
         return next(filter(wanted, draws), None)
@@ -128,7 +129,7 @@ class Recipe:
     def _entropy(self, split: str, number: int) -> list[int]:
         return [self.seed, SPLITS.index(split), number]
 
-    def job(self, split: str, number: int, bodies: list[Body], output: Path, threads: int) -> Job:
+    def job(self, split: str, number: int, drawn: DrawnScene, output: Path, threads: int) -> Job:
         """Return the job of a simulation, given its start from `starts`."""
         steps_per_frame = round(self.frame_interval / self.step)
         header = Header(
@@ -136,23 +137,26 @@ class Recipe:
             solver=self.solver,
             solver_version="",
             solver_parameters={},
-            domain_lower=(0.0, 0.0, 0.0),
-            domain_upper=self.scene.domain,
-            gravity=self.gravity,
             particle_radius=self.particle_radius,
             support_radius=4 * self.particle_radius,
             dt=steps_per_frame * self.step,
+        )
+        scene = SceneAttributes(
+            domain_lower=(0.0, 0.0, 0.0),
+            domain_upper=drawn.domain,
+            gravity=self.gravity,
             density0=self.density0,
-            viscosity=self.viscosity,
+            viscosity=self.viscosity if drawn.viscosity is None else drawn.viscosity,
         )
         return Job(
             output=str(output),
             header=header,
+            scene=scene,
             solver_step=self.step,
             steps_per_frame=steps_per_frame,
             frames=self.frames,
             seed=self._entropy(split, number),
-            bodies=bodies,
+            bodies=drawn.bodies,
             threads=threads,
             parameters={**PARAMETERS[self.solver], **(self.solver_parameters or {})},
         )

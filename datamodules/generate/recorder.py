@@ -28,7 +28,9 @@ class Recorder:
         self.frames = 0
         self.seconds = 0.0
         self._steps = 0
-        self._upper = np.array(job.header.domain_upper)
+        radius = job.header.particle_radius
+        self._lower = np.array(job.scene.domain_lower) - radius
+        self._upper = np.array(job.scene.domain_upper) + radius
         position, velocity = self._fluid()
         self.position, self.velocity = create_frames(group, len(position))
         self._times: list[float] = []
@@ -76,10 +78,9 @@ class Recorder:
         return field("position"), field("velocity")
 
     def _store(self, position: NDArray[np.float32], velocity: NDArray[np.float32]) -> None:
-        radius = self.job.header.particle_radius
         if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
             raise RuntimeError(f"a particle is not finite in frame {self.frames}")
-        outside = np.any((position < -radius) | (position > self._upper + radius), axis=1)
+        outside = np.any((position < self._lower) | (position > self._upper), axis=1)
         if outside.any():
             raise EscapedError(
                 f"{int(outside.sum())} of {len(position)} particles left through a wall "

@@ -1,23 +1,23 @@
-"""Random scenes of the paper's three kinds (section 5.1, figure 5).
+"""Random scenes: `SceneKind`, and the paper's three kinds (section 5.1, figure 5).
 
-A scene kind draws bodies of fluid with a random generator. Sizes are shares of
-the domain, so a kind works for a domain of any size. The up axis is y.
+A scene kind draws the bodies of fluid, and the box if it varies, with a random generator. Sizes
+of the paper's kinds are shares of the domain, so they work for a domain of any size. The up axis
+is y.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, final
+from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from datamodules.generate.bodies import Block, Body, Drop, Range, vector
+from datamodules.generate.bodies import Vector as Vector  # re-exported
 from fluidsnet.errors import UserError
-
-Vector = tuple[float, float, float]
-Range = tuple[float, float]
 
 #: Particle radii between a wall and the surface of the fluid at the start. With the boundary
 #: particles of Akinci et al. 2012, fluid at one radius is 6 % too dense at a wall and 12 %
@@ -30,55 +30,40 @@ FEWEST_LAYERS = 2
 
 @final
 @dataclass(frozen=True)
-class Block:
-    """Cuboid of fluid, up to the surfaces of its particles, in m."""
-
-    lower: Vector
-    upper: Vector
-
-    def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the lower and upper corner of the bounding box, in m."""
-        return np.array(self.lower), np.array(self.upper)
-
-
-@final
-@dataclass(frozen=True)
-class Drop:
-    """Ball of fluid, or a closed mesh scaled to fit into one."""
-
-    center: Vector  # of the ball, m
-    radius: float  # of the ball, m
-    mesh: str | None = None  # Wavefront OBJ file with a closed surface
-
-    def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the lower and upper corner of the bounding box, in m."""
-        return np.array(self.center) - self.radius, np.array(self.center) + self.radius
-
-
-Body = Block | Drop
-
-
-def describe(body: Body) -> dict[str, Any]:
-    """Return a body as JSON values."""
-    return {"shape": type(body).__name__.lower(), **asdict(body)}
-
-
-class SceneKind(ABC):
-    """Distribution of random scenes.
+class DrawnScene:
+    """Box and fluid of one simulation.
 
     Attributes:
-        domain: Edges of the box of fluid and air, in m; its lower corner is the origin.
+        domain: Edges of the box of fluid and air, m; its lower corner is the origin.
+        bodies: Fluid at the start.
+        viscosity: Coefficient of the solver; None for that of the recipe.
     """
 
     domain: Vector
+    bodies: list[Body]
+    viscosity: float | None = None
+
+
+class SceneKind(ABC):
+    """Distribution of random scenes."""
 
     @abstractmethod
-    def sample(self, random: np.random.Generator, particle_radius: float) -> list[Body]:
-        """Draw the bodies of one scene.
+    def sample(self, random: np.random.Generator, particle_radius: float) -> DrawnScene:
+        """Draw one scene.
 
-        They lie inside the walls with a clearance of `CLEARANCE` particle radii, do not
-        overlap, and blocks are a whole number of particles wide.
+        The bodies lie inside the walls with a clearance of `CLEARANCE` particle radii and do not
+        overlap.
         """
+
+
+class OneBox(SceneKind):
+    """Distribution of random scenes in one box; blocks are a whole number of particles wide.
+
+    Attributes:
+        domain: Edges of the box of fluid and air, m; its lower corner is the origin.
+    """
+
+    domain: Vector
 
     def room(self, particle_radius: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the lower and upper corner, in m, of the box in which fluid may start."""
@@ -103,12 +88,12 @@ class SceneKind(ABC):
         layers = np.clip(np.round(np.array(edges) / spacing), FEWEST_LAYERS, most)
         lower = np.clip(np.array(corner), lower_limit, upper_limit - layers * spacing)
         upper = lower + layers * spacing
-        return Block(_vector(lower), _vector(upper))
+        return Block(vector(lower), vector(upper))
 
 
 @final
 @dataclass
-class DamBreak(SceneKind):
+class DamBreak(OneBox):
     """Column of fluid that collapses in a corner of a basin (figures 5b and 8).
 
     Args:
@@ -123,17 +108,17 @@ class DamBreak(SceneKind):
     height: Range = (0.66, 0.90)
     depth: Range = (0.84, 1.0)
 
-    def sample(self, random: np.random.Generator, particle_radius: float) -> list[Body]:
+    def sample(self, random: np.random.Generator, particle_radius: float) -> DrawnScene:
         shares = [random.uniform(*extent) for extent in (self.width, self.height, self.depth)]
         edges = np.multiply(shares, self.domain)
         side = random.integers(0, 2, size=2)
         corner = [side[0] * self.domain[0], 0.0, side[1] * self.domain[2]]
-        return [self.block(corner, edges, particle_radius)]
+        return DrawnScene(self.domain, [self.block(corner, edges, particle_radius)])
 
 
 @final
 @dataclass
-class CuboidBasin(SceneKind):
+class CuboidBasin(OneBox):
     """Cuboid of fluid that falls into an empty basin (figures 5a and 7).
 
     Args:
@@ -146,16 +131,16 @@ class CuboidBasin(SceneKind):
     edge: Range = (0.36, 0.51)
     lift: Range = (0.25, 0.45)
 
-    def sample(self, random: np.random.Generator, particle_radius: float) -> list[Body]:
+    def sample(self, random: np.random.Generator, particle_radius: float) -> DrawnScene:
         edges = random.uniform(*self.edge, size=3) * min(self.domain)
         corner = random.uniform(size=3) * np.maximum(np.array(self.domain) - edges, 0.0)
         corner[1] = random.uniform(*self.lift) * self.domain[1]
-        return [self.block(corner, edges, particle_radius)]
+        return DrawnScene(self.domain, [self.block(corner, edges, particle_radius)])
 
 
 @final
 @dataclass
-class DropPool(SceneKind):
+class DropPool(OneBox):
     """Drop that falls into a pool of resting fluid (figures 5c and 9).
 
     Args:
@@ -172,7 +157,7 @@ class DropPool(SceneKind):
     fall: Range = (0.05, 0.35)
     mesh: Path | None = None
 
-    def sample(self, random: np.random.Generator, particle_radius: float) -> list[Body]:
+    def sample(self, random: np.random.Generator, particle_radius: float) -> DrawnScene:
         depth = random.uniform(*self.pool) * self.domain[1]
         pool = self.block([0.0, 0.0, 0.0], [self.domain[0], depth, self.domain[2]], particle_radius)
         lower, upper = self.room(particle_radius)
@@ -184,9 +169,4 @@ class DropPool(SceneKind):
         height = floor + random.uniform(*self.fall) * self.domain[1] + radius
         center[1] = min(height, float(upper[1]) - radius)
         mesh = None if self.mesh is None else str(self.mesh.resolve())
-        return [pool, Drop(_vector(center), radius, mesh)]
-
-
-def _vector(values: NDArray[np.float64]) -> Vector:
-    x, y, z = (round(float(value), 9) for value in values)
-    return x, y, z
+        return DrawnScene(self.domain, [pool, Drop(vector(center), radius, mesh)])

@@ -21,9 +21,9 @@ from types import ModuleType
 
 import h5py
 
+from datamodules.generate.bodies import describe
 from datamodules.generate.job import AKINCI_2012, REGULAR_TRIANGLES, Job, scene_file
 from datamodules.generate.recorder import Recorder
-from datamodules.generate.scenes import describe
 from datamodules.schema import Header
 from fluidsnet.errors import UserError
 
@@ -97,6 +97,7 @@ def simulate(job: Job, report: int) -> None:
             with h5py.File(partial, "w") as file:
                 _header(job).write(file)
                 group = file.create_group("00000")
+                job.scene.write(group)
                 group.attrs["seed"] = json.dumps(job.seed)
                 group.attrs["scene_parameters"] = json.dumps([*map(describe, job.bodies)])
                 group.attrs["threads"] = job.threads
@@ -119,7 +120,6 @@ def _header(job: Job) -> Header:
     parameters = {
         **job.parameters,
         "timeStepSize": job.solver_step,
-        "viscosity": job.header.viscosity,
         "boundaryHandlingMethod": AKINCI_2012,
         "samplingMode": REGULAR_TRIANGLES,
     }

@@ -1,4 +1,4 @@
-"""Mirror symmetries of a domain, to find starts that are the same simulation."""
+"""Mirror symmetries of scenes, to find starts that are the same simulation."""
 
 from __future__ import annotations
 
@@ -6,54 +6,51 @@ from itertools import permutations, product
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from datamodules.generate.scenes import Body, Vector
+from datamodules.generate.bodies import Vector, shape_and_mesh
+from datamodules.generate.scenes import DrawnScene
 
 
 @final
 class Symmetries:
-    """Mirrors and swaps of axes that map a box and gravity to themselves.
+    """Mirrors and swaps of axes that map gravity to itself.
 
-    Under gravity along y these are the mirrors of x and z, and, where the box is as wide as it
-    is deep, their swap: the changes of `datamodules.augmentation.BoxSymmetry`.
+    Under gravity along y these are the mirrors of x and z, and their swap: the changes of
+    `datamodules.augmentation.BoxSymmetry`.
 
     Args:
-        domain: Edges of the box, m; its lower corner is the origin.
         gravity: m/s².
     """
 
-    def __init__(self, domain: Vector, gravity: Vector) -> None:
-        self._edges, pull = np.array(domain), np.array(gravity)
-        # The first is the identity; `alike` relies on it.
+    def __init__(self, gravity: Vector) -> None:
+        pull = np.array(gravity)
         maps = [
             (axes, signs)
             for axes in permutations(range(3))
             for signs in product((1, -1), repeat=3)
-            if np.allclose(self._edges[list(axes)], self._edges)
-            and np.allclose(signs * pull[list(axes)], pull)
+            if np.allclose(signs * pull[list(axes)], pull)
         ]
         self._axes = np.array([axes for axes, _ in maps])
         self._mirrors = np.array([signs for _, signs in maps]) < 0
 
-    def _images(self, bodies: list[Body]) -> NDArray[np.float64]:
-        """Return (S, B, 2, 3) lower and upper corners, m, of B bodies under S symmetries."""
-        corners = np.array([body.bounds() for body in bodies])
-        turned = np.moveaxis(corners[..., self._axes], 2, 0)
-        mirrors = self._mirrors[:, None, None]
-        return np.sort(np.where(mirrors, self._edges - turned, turned), axis=2)
+    def alike(self, first: DrawnScene, second: DrawnScene, distance: float) -> bool:
+        """Return True if a symmetry maps the box and each body of one scene onto the other's.
 
-    def alike(self, first: list[Body], second: list[Body], distance: float) -> bool:
-        """Return True if a symmetry maps each body of one scene onto that of another.
-
-        Their boxes may be less than `distance` apart, m. A mesh is taken to be symmetric, so
-        different scenes may count as alike, but never the reverse.
+        The edges of the boxes and the bounding boxes of the bodies may be less than `distance`
+        apart, m. Rotations, velocities and viscosities are not compared, so different scenes may
+        count as alike, but never the reverse.
         """
-        if [_form(body) for body in first] != [_form(body) for body in second]:
+        if [*map(shape_and_mesh, first.bodies)] != [*map(shape_and_mesh, second.bodies)]:
             return False
-        distances = np.abs(self._images(first) - self._images(second)[0])
-        return bool((distances.max(axis=(1, 2, 3)) < distance).any())
-
-
-def _form(body: Body) -> tuple[str, str | None]:
-    return type(body).__name__, getattr(body, "mesh", None)
+        edges = np.array(first.domain)[self._axes]
+        fits = (np.abs(edges - np.array(second.domain)) < distance).all(axis=1)
+        if not fits.any():
+            return False
+        edges, axes, mirrors = edges[fits, None, None], self._axes[fits], self._mirrors[fits]
+        before, after = (
+            np.array([body.bounds() for body in scene.bodies]) for scene in (first, second)
+        )
+        turned = np.moveaxis(before[..., axes], 2, 0)
+        # (symmetries, bodies, 2, 3): lower and upper corners of the images.
+        images = np.sort(np.where(mirrors[:, None, None], edges - turned, turned), axis=2)
+        return bool((np.abs(images - after).max(axis=(1, 2, 3)) < distance).any())

@@ -109,6 +109,7 @@ class GlobalVector(GlobalFeature):
         self.register_buffer("empty", noise * self.empty_deviation, persistent=False)
 
     def forward(self, particles: Particles, features: Tensor) -> Tensor:
+        particles.scene.check_one_box(type(self).__name__)
         with record_function("voxel"):
             occupied = occupied_voxels(particles, self.grid_shape)
             voxels = self.voxel(features, occupied)

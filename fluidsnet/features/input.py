@@ -69,7 +69,8 @@ class ParticleState(InputFeature):
 
     def forward(self, particles: Particles) -> Tensor:
         scene = particles.scene
-        position = 2 * (particles.position - scene.domain_lower) / scene.extent - 1
+        lower, extent = map(particles.per_particle, (scene.domain_lower, scene.extent))
+        position = 2 * (particles.position - lower) / extent - 1
         marker = position.new_full((len(position), 1), FLUID)
         return torch.cat([position, particles.velocity / self.velocity_deviation, marker], dim=1)
 

@@ -53,7 +53,8 @@ def occupied_voxels(particles: Particles, shape: GridShape) -> OccupiedVoxels:
     """
     scene = particles.scene
     counts = tuple(float(count) for count in shape)
-    position = (particles.position - scene.domain_lower) / scene.extent
+    lower, extent = map(particles.per_particle, (scene.domain_lower, scene.extent))
+    position = (particles.position - lower) / extent
     x, y, z = (
         # A particle whose position is NaN counts for the first cell.
         (torch.nan_to_num(position[:, axis]) * counts[axis]).clamp(0, counts[axis] - 1).long()

@@ -5,104 +5,99 @@ Beyond the paper, whose one vector is the same for all particles.
 
 from __future__ import annotations
 
+import math
 from typing import final
 
 import torch
 from torch import Tensor, nn
-from torch_scatter import scatter
+from torch_scatter import gather_csr, segment_csr
 
-from fluidsnet.features.float32_linear import Float32Linear, float32_on_cpu
+from fluidsnet.errors import UserError
+from fluidsnet.features.float32_linear import Float32Linear
 from fluidsnet.features.global_feature import GlobalFeature
-from fluidsnet.features.voxel import GridShape, occupied_voxels
+from fluidsnet.features.sparse_convolution import SparseConvolution
+from fluidsnet.features.sparse_grid import SparseGrid
+from fluidsnet.features.voxel import GridShape
 from fluidsnet.particles import Particles
 
 
 @final
 class VoxelField(GlobalFeature):
-    """Means over cells, a 3-D U-Net, and trilinear interpolation at each particle.
+    """Means over cells, a sparse 3-D U-Net, and trilinear interpolation at each particle.
 
     Pressure acts over the whole depth of a fluid at once, which the coarse levels carry. The
     interpolation is continuous where a particle moves to another cell.
 
+    Only cells around particles exist (`SparseGrid`), in a size that does not depend on the
+    domain: time and memory follow the particles, and the weights are valid in any box. Cells
+    are aligned to the lower corner of each frame's domain.
+
+    A coarser cell has an eighth of the sum over the cells that it holds, so a cell that is
+    partly filled differs from a full one. A finer cell gets the value of the cell that holds it;
+    with the convolution that follows, the U-Net can learn any interpolation between them.
+
     Args:
-        grid_shape: Number of cells of the finest grid along x, y, z.
+        grid_shape: Not used; other global features are bound to the data's grid.
         inputs: Width of the particles' features.
         channels: Channels of the field, and width of the feature.
-        levels: Levels of the U-Net; each halves the grid.
+        levels: Levels of the U-Net, 1 to 8; each doubles the edge of a cell.
+        cell_size: Edge of a finest cell, support radii.
+
+    Raises:
+        UserError: `levels` or `cell_size` is out of range.
     """
 
     def __init__(
-        self, grid_shape: GridShape, inputs: int, channels: int = 24, levels: int = 3
+        self,
+        grid_shape: GridShape,
+        inputs: int,
+        channels: int = 24,
+        levels: int = 3,
+        cell_size: float = 1.0,
     ) -> None:
         super().__init__()
-        self.grid_shape, self.width = grid_shape, channels
+        if not 1 <= levels <= 8:
+            raise UserError(f"VoxelField: levels is {levels}; set 1 to 8.")
+        if not 0 < cell_size < math.inf:
+            raise UserError(f"VoxelField: cell_size is {cell_size}; set a positive number.")
+        self.width, self.cell_size = channels, cell_size
         self.encode = Float32Linear(inputs, channels)
         # One channel more than the mean features: the number of particles in the cell.
-        self.enter = nn.Conv3d(channels + 1, channels, 3, padding=1)
-        self.down = nn.ModuleList(
-            nn.Conv3d(channels, channels, 3, padding=1) for _ in range(levels - 1)
-        )
+        self.enter = SparseConvolution(channels + 1, channels)
+        self.down = nn.ModuleList(SparseConvolution(channels, channels) for _ in range(levels - 1))
         self.up = nn.ModuleList(
-            nn.Conv3d(2 * channels, channels, 3, padding=1) for _ in range(levels - 1)
+            SparseConvolution(2 * channels, channels) for _ in range(levels - 1)
         )
 
     def forward(self, particles: Particles, features: Tensor) -> Tensor:
-        occupied = occupied_voxels(particles, self.grid_shape)
-        encoded = torch.tanh(self.encode(features))
-        ones = encoded.new_ones(len(encoded), 1)
-        means = scatter(encoded, occupied.index, dim=0, dim_size=len(occupied.cell), reduce="mean")
-        counts = scatter(ones, occupied.index, dim=0, dim_size=len(occupied.cell), reduce="sum")
-        expected = self._particles_per_full_cell(particles)
-        rows = torch.cat([means, counts / expected], dim=1)
-        x, y, z = self.grid_shape
-        grid = rows.new_zeros(particles.frames * x * y * z, rows.shape[1])
-        grid = grid.index_copy(0, occupied.cell, rows)
-        volume = grid.view(particles.frames, x, y, z, -1).permute(0, 4, 1, 2, 3)
-        with float32_on_cpu(volume):
-            field = self._convolve(volume)
-        return self._sample(field, particles)
-
-    def _particles_per_full_cell(self, particles: Particles) -> Tensor:
-        scene = particles.scene
-        volume = scene.extent.prod() / (
-            self.grid_shape[0] * self.grid_shape[1] * self.grid_shape[2]
+        edge = self.cell_size * particles.scene.support_radius
+        lower = particles.per_particle(particles.scene.domain_lower)
+        grid = SparseGrid.around(
+            (particles.position - lower) / edge,
+            particles.frame,
+            particles.frames,
+            levels=1 + len(self.down),
         )
-        return volume / (2 * scene.particle_radius) ** 3
+        # Sorted, so that sums over cells are in order, also on a GPU.
+        encoded = torch.tanh(self.encode(features)).index_select(0, grid.order)
+        finest = grid.levels[0]
+        means = segment_csr(encoded, finest.offset, reduce="mean")
+        per_full_cell = (edge / (2 * particles.scene.particle_radius)) ** 3
+        filled = finest.offset.diff()[:, None] / per_full_cell
+        field = self._convolve(torch.cat([means, filled], dim=1), grid)
+        return grid.sample(field).to(features.dtype)
 
-    def _convolve(self, volume: Tensor) -> Tensor:
-        fine = [torch.tanh(self.enter(volume))]
-        for convolution in self.down:
-            coarse = nn.functional.avg_pool3d(fine[-1], 2, ceil_mode=True)
-            fine.append(torch.tanh(convolution(coarse)))
-        field = fine.pop()
-        for convolution in self.up:
-            skipped = fine.pop()
-            spread = nn.functional.interpolate(
-                field, size=skipped.shape[2:], mode="trilinear", align_corners=False
-            )
-            field = torch.tanh(convolution(torch.cat([spread, skipped], dim=1)))
+    def _convolve(self, rows: Tensor, grid: SparseGrid) -> Tensor:
+        """Return the U-Net's output (C, channels) in the finest cells."""
+        finest, *coarser = grid.levels
+        skipped = [torch.tanh(self.enter(rows, finest.neighbor))]
+        for convolution, level in zip(self.down, coarser, strict=True):
+            pooled = segment_csr(skipped[-1], level.offset, reduce="sum") / 8
+            skipped.append(torch.tanh(convolution(pooled, level.neighbor)))
+        field = skipped.pop()
+        for convolution, level in zip(self.up, reversed(coarser), strict=True):
+            fine = skipped.pop()
+            rows = torch.cat([gather_csr(field, level.offset), fine], dim=1)
+            finer = grid.levels[len(skipped)]
+            field = torch.tanh(convolution(rows, finer.neighbor))
         return field
-
-    def _sample(self, field: Tensor, particles: Particles) -> Tensor:
-        """Interpolate a field (F, C, X, Y, Z) between cell centers at the particles, (N, C)."""
-        scene = particles.scene
-        # Back from mixed precision, since the gradient sums over a cell's particles.
-        rows = field.permute(0, 2, 3, 4, 1).flatten(0, 3).to(particles.position.dtype)
-        base = particles.frame * (self.grid_shape[0] * self.grid_shape[1] * self.grid_shape[2])
-        position = torch.nan_to_num((particles.position - scene.domain_lower) / scene.extent)
-        lower, upper, fraction = [], [], []
-        for axis, count in enumerate(self.grid_shape):
-            coordinate = (position[:, axis] * count - 0.5).clamp(0, count - 1)
-            first = coordinate.floor()
-            fraction.append(coordinate - first)
-            lower.append(first.long())
-            upper.append((first.long() + 1).clamp_max(count - 1))
-        result = torch.zeros_like(rows[base])
-        for corner in range(8):
-            weight, row = torch.ones_like(fraction[0]), torch.zeros_like(base)
-            for axis, count in enumerate(self.grid_shape):
-                far = bool(corner >> axis & 1)
-                row = row * count + (upper if far else lower)[axis]
-                weight = weight * (fraction[axis] if far else 1 - fraction[axis])
-            result = result + rows[base + row] * weight[:, None]
-        return result

@@ -56,7 +56,7 @@ class CellTables:
         """Return the tables of fluid and solids, with cells as wide as the support radius."""
         set_threads(len(particles))
         radius = particles.scene.support_radius
-        extent: list[float] = particles.scene.extent.tolist()
+        extent = [max(edges) for edges in zip(*particles.scene.edges, strict=True)]
 
         def sort(position: Tensor, frame: Tensor) -> CellTable:
             # At a radius of zero only particles at the same place are neighbors.

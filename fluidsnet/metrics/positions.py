@@ -121,6 +121,7 @@ def escaped(particles: Particles) -> Tensor:
     scene = particles.scene
     reach = scene.extent / 2 + scene.particle_radius
     center = (scene.domain_lower + scene.domain_upper) / 2
+    reach, center = particles.per_particle(reach), particles.per_particle(center)
     inside = ((particles.position - center).abs() <= reach).all(dim=1)
     return 1 - inside.double().mean()
 

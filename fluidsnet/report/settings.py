@@ -11,7 +11,7 @@ from lightning import Trainer
 from lightning.pytorch.cli import LightningArgumentParser
 
 import fluidsnet
-from datamodules.schema import DAMAGE, SPLITS, Header, open_valid, simulations
+from datamodules.schema import DAMAGE, SPLITS, Header, SceneAttributes, open_valid, simulations
 from datamodules.sph import SPHDataModule
 from fluidsnet.cli import SEED
 from fluidsnet.errors import UserError
@@ -107,6 +107,7 @@ def data(runs: Sequence[Run]) -> Iterator[Part]:
 def _describe(run: Run, root: Path, stride: int) -> Iterator[Part]:
     text = f"{run.prefix}Trained on the data of {root}."
     rows: list[list[Cell]] = []
+    scenes: list[SceneAttributes] = []
     for path in (root / f"{split}.h5" for split in SPLITS):
         if not path.exists():
             continue
@@ -114,6 +115,7 @@ def _describe(run: Run, root: Path, stride: int) -> Iterator[Part]:
             with open_valid(path) as file:
                 header = Header.read(file)
                 groups = [file[name] for name in simulations(file)]
+                scenes += map(SceneAttributes.read, groups)
                 frames = [int(group["position"].shape[0]) for group in groups]
                 fluid = _range([int(group["position"].shape[1]) for group in groups])
                 solid = _range([int(group["solid_position"].shape[-2]) for group in groups])
@@ -125,15 +127,23 @@ def _describe(run: Run, root: Path, stride: int) -> Iterator[Part]:
     if not rows:
         yield Note(f"{text} No data file is found there from the working folder.", missing=True)
         return
-    corners = zip(header.domain_lower, header.domain_upper, strict=True)
-    size = " × ".join(f"{high - low:g}" for low, high in corners)
+    sizes = dict.fromkeys(map(_size, scenes))
     yield Note(
-        f"{text} Scene {header.scene} in {size} m, solver {header.solver}, particle radius "
-        f"{header.particle_radius:g} m; a frame every {1000 * header.dt:g} ms, a step every "
-        f"{1000 * header.dt * stride:g} ms."
+        f"{text} Scene {header.scene} in {_range_of(list(sizes))}, solver {header.solver}, "
+        f"particle radius {header.particle_radius:g} m; a frame every {1000 * header.dt:g} ms, "
+        f"a step every {1000 * header.dt * stride:g} ms."
     )
     table = pd.DataFrame(rows, columns=_COLUMNS, dtype=object)
     yield Table(f"data{run.suffix}", f"Data files of {run.name}", table)
+
+
+def _size(scene: SceneAttributes) -> str:
+    corners = zip(scene.domain_lower, scene.domain_upper, strict=True)
+    return " × ".join(f"{high - low:g}" for low, high in corners) + " m"
+
+
+def _range_of(sizes: list[str]) -> str:
+    return sizes[0] if len(sizes) == 1 else f"{len(sizes)} boxes of different sizes"
 
 
 def _range(counts: list[int]) -> str:

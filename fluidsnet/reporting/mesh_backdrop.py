@@ -22,7 +22,7 @@ class MeshBackdrop:
     """Two copies of the domain side by side: floor, back wall and edges, as points.
 
     Args:
-        scene: Scene with the domain.
+        scene: Scene of one frame, with the domain.
 
     Attributes:
         points: (E, 3) m.
@@ -32,8 +32,8 @@ class MeshBackdrop:
     """
 
     def __init__(self, scene: Scene) -> None:
-        self._lower: Floats = scene.domain_lower.cpu().numpy().astype(np.float32)
-        self._width: Floats = scene.domain_upper.cpu().numpy().astype(np.float32) - self._lower
+        self._lower: Floats = scene.domain_lower[0].cpu().numpy().astype(np.float32)
+        self._width: Floats = scene.domain_upper[0].cpu().numpy().astype(np.float32) - self._lower
         apart: Floats = np.array([0.55 * self._width[0], 0, 0], np.float32)
         middle: Floats = self._lower + self._width / np.float32(2)
         self.shifts: tuple[Floats, Floats] = (-middle - apart, -middle + apart)

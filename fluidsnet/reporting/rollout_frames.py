@@ -152,8 +152,8 @@ def draw_frames(
     side_by_side(
         path,
         panels,
-        scene.domain_lower.tolist(),
-        scene.domain_upper.tolist(),
+        scene.domain_lower[0].tolist(),
+        scene.domain_upper[0].tolist(),
         scene.particle_radius,
         speed_max=speed_limit(frames),
         columns=columns,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from datamodules.generate.job import SolverName
 from datamodules.generate.recipe import Recipe
 from datamodules.generate.scenes import CLEARANCE, DamBreak, Vector
-from datamodules.schema import COMPRESSION, Header, create_frames
+from datamodules.schema import COMPRESSION, Header, SceneAttributes, create_frames
 
 #: Edges of the paper's domain, m, and particle radius, m (section 5.1).
 DOMAIN: Vector = (6.0, 4.0, 6.0)
@@ -100,6 +100,7 @@ class Dam:
         with h5py.File(path, "w") as file:
             self._header(frame_interval).write(file)
             group = file.create_group("00000")
+            self._scene().write(group)
             group.attrs["seed"], group.attrs["threads"] = "[0]", 1
             group.attrs["scene_parameters"] = "[]"
             position, velocity = create_frames(group, len(lattice))
@@ -116,12 +117,16 @@ class Dam:
             solver="none",
             solver_version="none",
             solver_parameters={},
-            domain_lower=(0.0, 0.0, 0.0),
-            domain_upper=self.domain,
-            gravity=(0.0, -9.81, 0.0),
             particle_radius=RADIUS,
             support_radius=4 * RADIUS,
             dt=frame_interval,
+        )
+
+    def _scene(self) -> SceneAttributes:
+        return SceneAttributes(
+            domain_lower=(0.0, 0.0, 0.0),
+            domain_upper=self.domain,
+            gravity=(0.0, -9.81, 0.0),
             density0=1000.0,
             viscosity=0.0,
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
-from datamodules.schema import COMPRESSION, Header, create_frames
+from datamodules.schema import COMPRESSION, Header, SceneAttributes, create_frames
 
 Write = Callable[..., Path]
 
@@ -19,12 +20,14 @@ HEADER: dict[str, Any] = {
     "solver": "IISPH",
     "solver_version": "2.19.0",
     "solver_parameters": {"maxError": 0.05},
-    "domain_lower": (0.0, 0.0, 0.0),
-    "domain_upper": (1.5, 1.0, 1.5),
-    "gravity": (0.0, -9.81, 0.0),
     "particle_radius": 0.05,
     "support_radius": 0.2,
     "dt": 0.02,
+}
+SCENE: dict[str, Any] = {
+    "domain_lower": (0.0, 0.0, 0.0),
+    "domain_upper": (1.5, 1.0, 1.5),
+    "gravity": (0.0, -9.81, 0.0),
     "density0": 1000.0,
     "viscosity": 0.01,
 }
@@ -32,16 +35,28 @@ HEADER: dict[str, Any] = {
 
 @pytest.fixture
 def write_file(tmp_path: Path) -> Write:
-    """Write a valid file of random simulations, given their (frames, fluid, solid) sizes."""
+    """Write a valid file of random simulations, given their (frames, fluid, solid) sizes.
 
-    def write(name: str, *sizes: tuple[int, int, int], seed: int = 0, **header: Any) -> Path:
+    Attributes of the header and the scene can be changed by name; a scene attribute that is a
+    list has an entry for each simulation.
+    """
+
+    def write(name: str, *sizes: tuple[int, int, int], seed: int = 0, **changes: Any) -> Path:
         random = np.random.default_rng(seed)
         path = tmp_path / name
-        described = Header(**{**HEADER, **header})
+        names = {field.name for field in fields(SceneAttributes)}
+        scene = {**SCENE, **{key: changes.pop(key) for key in names & changes.keys()}}
+        described = Header(**{**HEADER, **changes})
         with h5py.File(path, "w") as file:
             described.write(file)
             for number, (frames, fluid, solid) in enumerate(sizes):
                 group = file.create_group(f"{number:05d}")
+                SceneAttributes(
+                    **{
+                        key: value[number] if isinstance(value, list) else value
+                        for key, value in scene.items()
+                    }
+                ).write(group)
                 group.attrs["seed"], group.attrs["threads"] = "[0]", 1
                 group.attrs["scene_parameters"] = "[]"
                 for dataset in create_frames(group, fluid):

@@ -156,8 +156,8 @@ def test_only_four_where_the_box_is_not_as_wide_as_deep(transitions: Transitions
 
 @pytest.mark.parametrize("along", [0, 2])
 def test_gravity_may_be_along_another_axis(transitions: Transitions, along: int) -> None:
-    gravity = torch.zeros(3, device=transitions.state.position.device)
-    gravity[along] = 9.81
+    gravity = torch.zeros(1, 3, device=transitions.state.position.device)
+    gravity[0, along] = 9.81
     before = in_box(transitions, (1.0, 1.0, 1.0))
     state = before.state
     before = replace(before, state=replace(state, scene=replace(state.scene, gravity=gravity)))
@@ -171,7 +171,7 @@ def test_gravity_along_no_single_axis_is_refused(
     transitions: Transitions, gravity: tuple[float, float, float]
 ) -> None:
     state = transitions.state
-    scene = replace(state.scene, gravity=torch.tensor(gravity, device=state.position.device))
+    scene = replace(state.scene, gravity=torch.tensor([gravity], device=state.position.device))
     with pytest.raises(UserError, match="gravity along one axis"):
         BoxSymmetry()(replace(transitions, state=replace(state, scene=scene)))
 
@@ -179,7 +179,7 @@ def test_gravity_along_no_single_axis_is_refused(
 def test_only_training_is_augmented(sample: Path) -> None:
     class Zero(Augmentation):
         def check(self, scene: Scene) -> None:
-            assert float(scene.gravity[1]) < 0
+            assert len(scene) == 4 and (scene.gravity[:, 1] < 0).all()
 
         def __call__(self, sample: Transitions) -> Transitions:
             state = sample.state

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -18,12 +19,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from datamodules.generate.bodies import Block, Drop
 from datamodules.generate.dataset import generate
 from datamodules.generate.job import Job, SolverName, scene_file
 from datamodules.generate.recipe import Recipe
 from datamodules.generate.recorder import EscapedError, Recorder
-from datamodules.generate.scenes import CLEARANCE, Block, Body, DamBreak, Drop, DropPool, SceneKind
-from datamodules.schema import Header, validate
+from datamodules.generate.scenes import CLEARANCE, DamBreak, DrawnScene, DropPool, SceneKind
+from datamodules.schema import Header, SceneAttributes, validate
 from fluidsnet.errors import UserError
 
 needs_solver = pytest.mark.usefixtures("real_solver")
@@ -113,10 +115,13 @@ def test_what_was_asked_for_is_there_and_nothing_else(made: Path) -> None:
     validate(made / "train.h5")
     with h5py.File(made / "train.h5") as file:
         header = Header.read(file)
+        scenes = [SceneAttributes.read(group) for group in file.values()]
         assert list(file) == ["00000", "00001"]
         assert all(len(group["time"]) == RECIPE.frames for group in file.values())
     assert (header.scene, header.solver, header.dt) == ("DamBreak", "IISPH", INTERVAL)
-    assert (header.domain_lower, header.domain_upper) == ((0.0, 0.0, 0.0), DOMAIN)
+    for scene in scenes:
+        assert (scene.domain_lower, scene.domain_upper) == ((0.0, 0.0, 0.0), DOMAIN)
+        assert (scene.gravity, scene.viscosity) == (RECIPE.gravity, RECIPE.viscosity)
     assert header.support_radius == pytest.approx(4 * RADIUS)
     assert header.solver_parameters["timeStepSize"] == 0.0025
 
@@ -158,7 +163,7 @@ def test_the_first_frame_is_the_drawn_body_at_rest(simulations: list[Simulation]
         assert not simulation.velocity[0].any()
         seed = json.loads(simulation.attributes["seed"])
         assert seed == [0, 0, number]
-        (block,) = RECIPE.starts()["train", number]
+        (block,) = RECIPE.starts()["train", number].bodies
         assert json.loads(simulation.attributes["scene_parameters"])[0]["shape"] == "block"
         assert isinstance(block, Block)
         layers = np.round(np.subtract(block.upper, block.lower) / (2 * RADIUS)).astype(int)
@@ -245,7 +250,7 @@ def test_a_mesh_may_be_the_drop(tmp_path: Path) -> None:
     recipe = replace(RECIPE, scene=kind, particle_radius=radius, train=1, frames=11)
     assert generate(recipe, tmp_path / "data", processes=1) == []
     (simulation,) = read(tmp_path / "data" / "train.h5")
-    pool, drop = kind.sample(np.random.default_rng([0, 0, 0]), radius)
+    pool, drop = kind.sample(np.random.default_rng([0, 0, 0]), radius).bodies
     assert isinstance(drop, Drop)
     start = simulation.position[0].astype(np.float64)
     above = start[start[:, 1] > pool.bounds()[1][1]] - np.array(drop.center)
@@ -264,10 +269,11 @@ class Spoiled(DamBreak):
         self.mesh, self.always = mesh, always
         self._drawn = 0
 
-    def sample(self, random: np.random.Generator, particle_radius: float) -> list[Body]:
+    def sample(self, random: np.random.Generator, particle_radius: float) -> DrawnScene:
         self._drawn += 1
         if self.always or self._drawn == 2:
-            return [Drop((0.5, random.uniform(0.4, 0.6), 0.5), 0.3, str(self.mesh))]
+            drop = Drop((0.5, random.uniform(0.4, 0.6), 0.5), 0.3, str(self.mesh))
+            return DrawnScene(DOMAIN, [drop])
         return super().sample(random, particle_radius)
 
 
@@ -295,6 +301,24 @@ def test_a_split_of_which_nothing_is_left_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"train\.h5 would be empty: .*2 .* failed.*nowhere\.obj"):
         generate(recipe, tmp_path / "data", processes=2)
     assert not (tmp_path / "data" / "train.h5").exists()
+
+
+@needs_solver
+def test_a_data_set_of_an_old_recipe_is_still_accepted(sample: Path, tmp_path: Path) -> None:
+    # The note of the sample was written before scenes had boxes of their own.
+    root = tmp_path / "dam_break"
+    shutil.copytree(sample, root)
+    recipe = Recipe(
+        scene=DamBreak((1.5, 1.0, 1.5)),
+        particle_radius=0.06,
+        train=3,
+        val=1,
+        test=1,
+        frames=41,
+        frame_interval=0.02,
+    )
+    assert generate(recipe, root) == []
+    assert (root / "recipe.json").read_bytes() == (sample / "recipe.json").read_bytes()
 
 
 @needs_solver
@@ -327,6 +351,7 @@ def test_files_of_unknown_origin_are_left_alone(tmp_path: Path) -> None:
 SCRIPT = f"""
 import sys
 from pathlib import Path
+from datamodules.generate.bodies import Block, Drop
 from datamodules.generate.dataset import generate
 from datamodules.generate.recipe import Recipe
 from datamodules.generate.scenes import DamBreak
@@ -452,6 +477,23 @@ def test_a_frame_is_every_so_many_steps_of_active_particles(recorder: Any) -> No
     assert record.group["time"][()].tolist() == pytest.approx([0, 0.01, 0.02])
     # The solver's seconds for the four steps of a frame, and nothing else.
     assert record.group["solver_seconds"][()].tolist() == [0, 2, 2]
+
+
+def test_a_particle_leaves_the_box_of_its_own_simulation(tmp_path: Path) -> None:
+    solver = FakeSolver()
+    read_end, write_end = os.pipe()
+    made = job(tmp_path)
+    wider = replace(made.scene, domain_lower=(-1.0, 0.0, 0.0), domain_upper=(2 * EDGE, EDGE, EDGE))
+    with h5py.File(tmp_path / "part.h5", "w") as file:
+        group = file.create_group("00000")
+        record = Recorder(solver, replace(made, scene=wider), group, write_end)  # type: ignore[arg-type]
+        solver.position[0, 0], solver.position[1, 0] = -1.0, 2 * EDGE
+        step(record, solver, 4)
+        solver.position[1, 0] += 1.1 * RADIUS
+        with pytest.raises(EscapedError, match="1 of 2 particles left"):
+            step(record, solver, 4)
+    os.close(read_end)
+    os.close(write_end)
 
 
 @pytest.mark.parametrize("place", [-1.1 * RADIUS, EDGE + 1.1 * RADIUS])

@@ -24,6 +24,9 @@ def copy(sample: Path, tmp_path: Path) -> Path:
     return Path(shutil.copy(sample / "train.h5", tmp_path / "train.h5"))
 
 
+Write = Callable[..., Path]
+
+
 def row(text: str, name: str) -> list[str]:
     """Return the columns of a simulation in a summary."""
     (line,) = [line for line in text.splitlines() if line.split()[:1] == [name]]
@@ -50,9 +53,34 @@ def test_a_report_says_what_the_file_holds(sample: Path) -> None:
             assert columns[7] == f"({group.attrs['threads']})"
         lower = np.min([group["position"][()].min(axis=(0, 1)) for group in file.values()], axis=0)
     assert ", ".join(f"{value:.3f}" for value in lower) in text
-    assert "DamBreak in 1.5 x 1 x 1.5 m" in text
+    assert re.search(r"scene +DamBreak\n", text)
+    assert re.search(r"domain +1.5 x 1 x 1.5 m\n", text)
     assert re.search(r"solver +IISPH, version \d", text)
     assert "20 ms" in text and "MB" in text
+
+
+def test_a_report_shows_what_differs_between_simulations(write_file: Write) -> None:
+    path = write_file(
+        "train.h5",
+        (3, 4, 2),
+        (3, 5, 2),
+        domain_upper=[(2.0, 2.0, 2.0), (3.5, 2.0, 2.0)],
+        viscosity=[0.01, 0.5],
+        surface_tension=[0.0, 0.25],
+    )
+    text = describe(path)
+    assert re.search(r"gravity +0, -9.81, 0 m/s²\n", text)
+    assert not re.search(r"^  (domain|viscosity|surface tension)", text, re.MULTILINE)
+    assert "periodic" not in text and "dimension" not in text
+    table = text.split("\n\n")[1]
+    head, first, second = table.splitlines()
+    for words, line in (
+        (("domain", "viscosity", "surface tension"), head),
+        (("2 x 2 x 2 m", "0.01", "0"), first),
+        (("3.5 x 2 x 2 m", "0.5", "0.25"), second),
+    ):
+        places = [line.rfind(word) for word in words]
+        assert -1 < places[0] < places[1] < places[2]
 
 
 @pytest.mark.parametrize("split", ["train", "val", "test"])

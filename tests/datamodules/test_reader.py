@@ -8,6 +8,7 @@ import pickle
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -58,7 +59,7 @@ def test_frames_and_states_are_those_of_the_file(sample: Path) -> None:
                 position, velocity = reader.fluid(name, frame)
                 np.testing.assert_array_equal(position, file[name]["position"][frame])
                 np.testing.assert_array_equal(velocity, file[name]["velocity"][frame])
-                state = reader.state(name, frame, reader.scene(1))
+                state = reader.state(name, frame, stride=1)
                 assert torch.equal(state.position, position)
                 np.testing.assert_array_equal(
                     state.solid_position, file[name]["solid_position"][()]
@@ -68,11 +69,13 @@ def test_frames_and_states_are_those_of_the_file(sample: Path) -> None:
 
 
 def test_the_scene_is_the_header_and_steps_by_the_stride(write_file: Write) -> None:
-    scene = FrameReader(write_file("train.h5", (3, 5, 2))).scene(4)
+    reader = FrameReader(write_file("train.h5", (3, 5, 2), viscosity=0.03, density0=998.0))
+    scene = reader.scene("00000", 4)
+    assert scene is reader.scene("00000", 4) and scene.names == ("train/00000",)
     assert scene.time_step == pytest.approx(0.08)
     assert (scene.particle_radius, scene.support_radius) == (0.05, 0.2)
-    torch.testing.assert_close(scene.extent, torch.tensor([1.5, 1.0, 1.5]))
-    torch.testing.assert_close(scene.gravity, torch.tensor([0.0, -9.81, 0.0]))
+    torch.testing.assert_close(scene.extent, torch.tensor([[1.5, 1.0, 1.5]]))
+    torch.testing.assert_close(scene.gravity, torch.tensor([[0.0, -9.81, 0.0]]))
 
 
 def test_no_handle_is_pickled(sample: Path) -> None:
@@ -134,7 +137,7 @@ def test_damage_that_shows_when_read_is_named(write_file: Write, name: str) -> N
         content.write(b"\xff" * chunk.size)
     reader = FrameReader(path)
     with pytest.raises(UserError) as caught:
-        reader.state("00000", 2, reader.scene(1))
+        reader.state("00000", 2, stride=1)
     words = str(caught.value)
     assert str(path) in words and "/00000" in words and "damaged" in words
     assert ("solids" if name == "solid_position" else "frame 2") in words
@@ -156,4 +159,19 @@ def test_solids_that_move_are_refused(write_file: Write) -> None:
         for name in ("solid_position", "solid_velocity"):
             file[f"00000/{name}"] = np.zeros((3, 2, 3))
     with pytest.raises(UserError, match="/00000 move"):
+        FrameReader(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"periodic": [(False,) * 3, (True, False, False)]}, "/00001 is periodic"),
+        ({"dimension": 2}, "/00000 is in two dimensions"),
+    ],
+)
+def test_scenes_that_cannot_be_stepped_are_refused(
+    write_file: Write, change: dict[str, Any], words: str
+) -> None:
+    path = write_file("train.h5", (3, 5, 2), (3, 5, 2), **change)
+    with pytest.raises(UserError, match=f"train.h5: {words}"):
         FrameReader(path)

@@ -9,7 +9,15 @@ import h5py
 import numpy as np
 import pytest
 
-from datamodules.schema import SCHEMA_VERSION, Header, create_frames, open_valid, validate
+from datamodules.schema import (
+    SCHEMA_VERSION,
+    Header,
+    SceneAttributes,
+    create_frames,
+    open_valid,
+    simulations,
+    validate,
+)
 from fluidsnet.errors import UserError
 
 Write = Callable[..., Path]
@@ -68,6 +76,14 @@ def set_attribute(name: str, value: object) -> Spoil:
     return lambda file: file.attrs.__setitem__(name, value)
 
 
+def drop_scene(name: str) -> Spoil:
+    return lambda file: file["00000"].attrs.__delitem__(name)
+
+
+def set_scene(name: str, value: object) -> Spoil:
+    return lambda file: file["00000"].attrs.__setitem__(name, value)
+
+
 def drop(name: str) -> Spoil:
     return lambda file: file.__delitem__(name)
 
@@ -92,22 +108,26 @@ def group_for(name: str) -> Spoil:
 #: What is spoiled, and words that must be in the sentence. A valid file has 4 frames of 6.
 SPOILED: dict[str, tuple[Spoil, list[str]]] = {
     "another version": (
-        set_attribute("schema_version", 2),
-        ["schema_version is 2", "reads 1"],
+        set_attribute("schema_version", 3),
+        ["schema_version is 3", "reads 1 and 2"],
     ),
     "a version in words": (set_attribute("schema_version", "two"), ["schema_version is two"]),
     "no dt": (drop_attribute("dt"), ["attribute dt is missing"]),
     "no solver": (drop_attribute("solver"), ["attribute solver is missing"]),
-    "gravity a number": (set_attribute("gravity", -9.81), ["gravity", "three numbers"]),
-    "gravity in words": (set_attribute("gravity", "down"), ["gravity", "numbers"]),
+    "gravity a number": (set_scene("gravity", -9.81), ["/00000", "gravity", "three numbers"]),
+    "gravity in words": (set_scene("gravity", "down"), ["gravity", "numbers"]),
+    "gravity not finite": (set_scene("gravity", [0, np.nan, 0]), ["gravity", "finite"]),
+    "no gravity": (drop_scene("gravity"), ["/00000", "gravity is missing", "or on the file"]),
+    "periodic in words": (set_scene("periodic", "xyz"), ["periodic", "three booleans"]),
+    "four dimensions": (set_scene("dimension", 4), ["dimension is 4", "2 or 3"]),
     "dt in words": (set_attribute("dt", "20 ms"), ["dt", "number"]),
     "dt zero": (set_attribute("dt", 0.0), ["dt", "above zero"]),
     "dt three numbers": (set_attribute("dt", np.ones(3)), ["dt", "one number"]),
     "radius not a number": (set_attribute("particle_radius", np.nan), ["radius", "above zero"]),
     "parameters no JSON": (set_attribute("solver_parameters", "{"), ["solver_parameters", "JSON"]),
     "flat domain": (
-        set_attribute("domain_upper", np.array([1.5, 0.0, 1.5])),
-        ["domain_upper must be above domain_lower"],
+        set_scene("domain_upper", np.array([1.5, 0.0, 1.5])),
+        ["/00000", "domain_upper must be above domain_lower"],
     ),
     "no simulation": (drop("00000"), ["no simulation", "/00000"]),
     "no position": (drop("00000/position"), ["/00000", "position is missing"]),
@@ -187,20 +207,52 @@ def test_a_header_comes_back_as_it_was(tmp_path: Path) -> None:
         solver="DFSPH",
         solver_version="2.19.0",
         solver_parameters={"maxError": 0.05, "steps": [1, 2], "name": "ü"},
-        domain_lower=(-0.1, 0.0, 0.3),
-        domain_upper=(1.0 / 3.0, 1.0, 2.0),
-        gravity=(0.0, -9.81, 0.0),
         particle_radius=0.1 + 0.2,
         support_radius=1.2,
         dt=1e-3,
-        density0=998.2,
-        viscosity=0.01,
     )
     with h5py.File(tmp_path / "header.h5", "w") as file:
         header.write(file)
         assert file.attrs["schema_version"] == SCHEMA_VERSION
-        assert file.attrs["domain_upper"].dtype == np.float64
         assert Header.read(file) == header
+
+
+def test_a_scene_comes_back_as_it_was(tmp_path: Path) -> None:
+    scene = SceneAttributes(
+        domain_lower=(-0.1, 0.0, 0.3),
+        domain_upper=(1.0 / 3.0, 1.0, 2.0),
+        gravity=(0.0, -9.81, 0.0),
+        density0=998.2,
+        viscosity=0.01,
+        surface_tension=0.2,
+        periodic=(True, False, True),
+        dimension=2,
+    )
+    with h5py.File(tmp_path / "scene.h5", "w") as file:
+        group = file.create_group("00000")
+        scene.write(group)
+        assert group.attrs["domain_upper"].dtype == np.float64
+        assert group.attrs["periodic"].dtype == np.bool_
+        assert SceneAttributes.read(group) == scene
+
+
+def test_the_simulations_attributes_win_over_the_files(write_file: Write) -> None:
+    path = write_file("train.h5", (4, 6, 2), (4, 6, 2))
+    with h5py.File(path, "a") as file:
+        file.attrs["gravity"], file.attrs["viscosity"] = [0.0, 0.0, -1.6], 0.5
+        del file["00001"].attrs["gravity"]
+        own, of_file = (SceneAttributes.read(file[name]) for name in ("00000", "00001"))
+    assert own.gravity == (0.0, -9.81, 0.0) and own.viscosity == of_file.viscosity == 0.01
+    assert of_file.gravity == (0.0, 0.0, -1.6)
+    validate(path)
+
+
+def test_other_groups_and_attributes_are_ignored(write_file: Write) -> None:
+    path = write_file("train.h5", (4, 6, 2))
+    with h5py.File(path, "a") as file:
+        file["analysis/table"], file.attrs["author"] = np.zeros(3), "me"
+        assert simulations(file) == ["00000"]
+    validate(path)
 
 
 def test_one_frame_a_chunk_with_filters_that_every_h5py_reads(sample: Path, tmp_path: Path) -> None:

@@ -157,7 +157,8 @@ def test_statistics_are_those_of_plain_numpy_over_the_training_file(sample: Path
             rows["velocity"].append(before.reshape(-1, 3))
             rows["change"].append((after - before).reshape(-1, 3))
             moved = position[stride:] - position[:-stride]
-            rows["drift"].append((moved - 0.02 * stride * before).reshape(-1, 3))
+            drift = (moved - 0.02 * stride * before) / file.attrs["support_radius"]
+            rows["drift"].append(drift.reshape(-1, 3))
     for name, parts in rows.items():
         values = np.concatenate(parts)
         deviation = getattr(data.statistics, f"{name}_deviation")
@@ -331,21 +332,40 @@ def test_a_range_without_a_sample_is_named(small: Path, options: dict[str, Any])
         module(small, **options)
 
 
+def test_one_batch_mixes_boxes_gravities_and_viscosities(write_file: Write) -> None:
+    boxes, pulls = [(2.0, 2.0, 2.0), (3.5, 2.0, 2.0)], [(0.0, -9.81, 0.0), (0.0, -1.6, 0.0)]
+    root = write_file(
+        "train.h5", (3, 5, 3), (3, 7, 4), domain_upper=boxes, gravity=pulls, viscosity=[0.01, 0.5]
+    ).parent
+    write_file("val.h5", (3, 4, 2), domain_upper=(9.0, 2.0, 2.0))
+    data = module(root, batch_size=4)
+    assert data.scenes.names == ("train/00000", "train/00001", "val/00000")
+    state = next(iter(data.train_dataloader())).state
+    assert state.frames == len(state.scene) == 4
+    for frame, name in enumerate(state.scene.names):
+        number = int(name.removeprefix("train/"))
+        assert state.scene.edges[frame] == boxes[number]
+        assert state.scene.extent[frame].tolist() == list(boxes[number])
+        assert state.scene.gravity[frame].tolist() == pytest.approx(pulls[number])
+        assert float(state.scene.viscosity[frame]) == pytest.approx((0.01, 0.5)[number])
+        assert int((state.frame == frame).sum()) == (5, 7)[number]
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("domain_upper", (1.5, 2.0, 1.5)),
-        ("gravity", (0.0, -1.6, 0.0)),
         ("particle_radius", 0.025),
         ("support_radius", 0.1),
         ("dt", 0.01),
     ],
 )
-def test_splits_of_different_scenes_are_refused(
+def test_splits_of_different_resolutions_are_refused(
     small: Path, write_file: Write, name: str, value: Any
 ) -> None:
     write_file("val.h5", (9, 4, 2), **{name: value})
-    with pytest.raises(UserError, match=rf"val\.h5: {name} is .*one scene\.$"):
+    with pytest.raises(
+        UserError, match=rf"val\.h5: {name} is .*one resolution and frame interval\.$"
+    ):
         module(small)
 
 
@@ -445,7 +465,7 @@ def test_the_split_by_frame_tests_without_a_test_file(small: Path, write_file: W
     data.teardown("test")
     write_file("train.h5", (12, 5, 3), dt=0.01)
     for stage in ("fit", "validate", "test"):
-        with pytest.raises(UserError, match="one scene"):
+        with pytest.raises(UserError, match="one resolution"):
             module(small, stage=stage, split_by="frame")
     (small / "train.h5").unlink()
     with pytest.raises(UserError, match=r"train\.h5: there is no such file"):

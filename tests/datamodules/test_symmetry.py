@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from datamodules.generate.bodies import Block, Body, Drop, MovingBody
 from datamodules.generate.command import _parser as generate_parser
 from datamodules.generate.recipe import Recipe
-from datamodules.generate.scenes import Block, Body, DamBreak, Drop
+from datamodules.generate.scenes import DamBreak, DrawnScene
+from datamodules.generate.shapes import Cuboid
 from datamodules.generate.symmetry import Symmetries
-from datamodules.schema import SPLITS, Header
+from datamodules.schema import SPLITS, Header, SceneAttributes
 from fluidsnet.errors import UserError
 
 ROOT = Path(__file__).parents[2]
@@ -39,53 +41,85 @@ def swapped(block: Block) -> Block:
     return Block(block.lower[::-1], block.upper[::-1])
 
 
+def alike(
+    domain: tuple[float, float, float],
+    first: list[Body],
+    second: list[Body],
+    distance: float = 1e-6,
+    gravity: tuple[float, float, float] = DOWN,
+) -> bool:
+    """Compare bodies in the same box."""
+    return Symmetries(gravity).alike(
+        DrawnScene(domain, first), DrawnScene(domain, second), distance
+    )
+
+
 @pytest.mark.parametrize("axes", [(), (0,), (2,), (0, 2)])
 def test_a_block_in_any_corner_is_the_same(axes: tuple[int, ...]) -> None:
     for domain in (SQUARE, OBLONG):
-        symmetries = Symmetries(domain, DOWN)
-        assert symmetries.alike([CORNER], [mirrored(CORNER, domain, *axes)], 1e-6)
+        assert alike(domain, [CORNER], [mirrored(CORNER, domain, *axes)])
     turned = swapped(mirrored(CORNER, SQUARE, *axes))
-    assert Symmetries(SQUARE, DOWN).alike([CORNER], [turned], 1e-6)
+    assert alike(SQUARE, [CORNER], [turned])
     # In a box that is not as wide as it is deep, the two axes are not the same.
-    assert not Symmetries(OBLONG, DOWN).alike([CORNER], [swapped(CORNER)], 1e-6)
+    assert not alike(OBLONG, [CORNER], [swapped(CORNER)])
 
 
 def test_another_block_is_not_the_same() -> None:
-    symmetries = Symmetries(SQUARE, DOWN)
-    assert not symmetries.alike([CORNER], [mirrored(CORNER, SQUARE, 1)], 1e-6), "upside down"
+    assert not alike(SQUARE, [CORNER], [mirrored(CORNER, SQUARE, 1)]), "upside down"
     for axis in range(3):
         upper = list(CORNER.upper)
         upper[axis] += 0.04
         grown = Block(CORNER.lower, (upper[0], upper[1], upper[2]))
-        assert not symmetries.alike([CORNER], [grown], 0.02)
-        assert symmetries.alike([CORNER], [grown], 0.05)
+        assert not alike(SQUARE, [CORNER], [grown], 0.02)
+        assert alike(SQUARE, [CORNER], [grown], 0.05)
 
 
 def test_all_bodies_are_mirrored_together() -> None:
-    symmetries = Symmetries(SQUARE, DOWN)
     left, right = Drop((0.4, 0.7, 0.5), 0.2), Drop((1.1, 0.7, 0.5), 0.2)
-    assert symmetries.alike([CORNER, left], [mirrored(CORNER, SQUARE, 0), right], 1e-6)
-    assert not symmetries.alike([CORNER, left], [CORNER, right], 1e-6)
-    assert not symmetries.alike([CORNER, left], [CORNER], 1e-6)
-    assert not symmetries.alike([left], [Drop(left.center, left.radius, "drop.obj")], 1e-6)
+    assert alike(SQUARE, [CORNER, left], [mirrored(CORNER, SQUARE, 0), right])
+    assert not alike(SQUARE, [CORNER, left], [CORNER, right])
+    assert not alike(SQUARE, [CORNER, left], [CORNER])
+    assert not alike(SQUARE, [left], [Drop(left.center, left.radius, "drop.obj")])
 
 
 def test_the_mirrors_are_those_that_leave_gravity_as_it_is() -> None:
     upright = mirrored(CORNER, SQUARE, 1)
     sideways = mirrored(CORNER, SQUARE, 0)
-    assert Symmetries(SQUARE, (-9.81, 0.0, 0.0)).alike([CORNER], [upright], 1e-6)
-    assert not Symmetries(SQUARE, (-9.81, 0.0, 0.0)).alike([CORNER], [sideways], 1e-6)
-    assert not Symmetries(SQUARE, (1.0, -9.0, 0.0)).alike([CORNER], [sideways], 1e-6)
+    assert alike(SQUARE, [CORNER], [upright], gravity=(-9.81, 0.0, 0.0))
+    assert not alike(SQUARE, [CORNER], [sideways], gravity=(-9.81, 0.0, 0.0))
+    assert not alike(SQUARE, [CORNER], [sideways], gravity=(1.0, -9.0, 0.0))
     # Slanted towards a corner, the swap is left.
-    slanted = Symmetries(SQUARE, (1.0, -9.0, 1.0))
-    assert slanted.alike([CORNER], [swapped(CORNER)], 1e-6)
-    assert not slanted.alike([CORNER], [sideways], 1e-6)
+    assert alike(SQUARE, [CORNER], [swapped(CORNER)], gravity=(1.0, -9.0, 1.0))
+    assert not alike(SQUARE, [CORNER], [sideways], gravity=(1.0, -9.0, 1.0))
+
+
+def test_boxes_are_compared_too() -> None:
+    symmetries, here = Symmetries(DOWN), DrawnScene(OBLONG, [CORNER])
+    assert not symmetries.alike(here, DrawnScene(SQUARE, [CORNER]), 0.02)
+    assert not symmetries.alike(here, DrawnScene((1.5, 1.2, 1.2), [CORNER]), 0.02)
+    # The same box, turned by 90 degrees about the up axis.
+    turned = DrawnScene(OBLONG[::-1], [swapped(CORNER)])
+    assert symmetries.alike(here, turned, 1e-6) and symmetries.alike(turned, here, 1e-6)
+    assert not symmetries.alike(here, DrawnScene(OBLONG[::-1], [CORNER]), 1e-6)
+
+
+def test_a_moving_body_in_a_mirror_is_the_same() -> None:
+    cosine, sine = np.cos(np.pi / 8), np.sin(np.pi / 8)
+    left = MovingBody(
+        Cuboid((0.4, 0.2, 0.3)), (0.4, 0.5, 0.5), (cosine, 0.0, 0.0, sine), (1.0, 0.0, 0.0)
+    )
+    right = replace(
+        left, center=(1.1, 0.5, 0.5), rotation=(cosine, 0.0, 0.0, -sine), velocity=(-1.0, 0.0, 0.0)
+    )
+    assert alike(SQUARE, [left], [right])
+    assert not alike(SQUARE, [left], [replace(right, rotation=(1.0, 0.0, 0.0, 0.0))])
+    assert not alike(SQUARE, [left], [replace(right, shape=Cuboid((0.4, 0.2, 0.4)))])
 
 
 def pairs_alike(
-    recipe: Recipe, starts: dict[tuple[str, int], list[Body]]
+    recipe: Recipe, starts: dict[tuple[str, int], DrawnScene]
 ) -> list[tuple[tuple[str, int], tuple[str, int]]]:
-    symmetries = Symmetries(recipe.scene.domain, recipe.gravity)
+    symmetries = Symmetries(recipe.gravity)
     return [
         (first, second)
         for first, second in combinations(starts, 2)
@@ -121,8 +155,8 @@ def test_training_alone_has_mirror_images_where_nothing_else_is_left() -> None:
         assert len(starts) == 17
         alike = pairs_alike(recipe, starts)
         assert alike and all(split == "train" for pair in alike for split, _ in pair)
-        bodies = list(starts.values())
-        assert all(bodies.count(body) == 1 for body in bodies)
+        scenes = list(starts.values())
+        assert all(scenes.count(scene) == 1 for scene in scenes)
 
 
 def test_what_is_held_out_does_not_depend_on_how_much_is_trained_on() -> None:
@@ -151,9 +185,10 @@ def test_the_sample_tests_on_no_mirror_image_of_what_it_trains_on(sample: Path) 
             header = Header.read(file)
             for name, group in file.items():
                 starts[split, name] = group["position"][0]
+                box = SceneAttributes.read(group)
                 bodies = json.loads(group.attrs["scene_parameters"])
                 assert [body["shape"] for body in bodies] == ["block"]
-    middle = (np.array(header.domain_lower) + header.domain_upper) / 2
+    middle = (np.array(box.domain_lower) + box.domain_upper) / 2
     for first, second in combinations(starts, 2):
         if len(starts[first]) != len(starts[second]):
             continue

@@ -37,10 +37,10 @@ CLOSE = 1e-5
 
 
 def _scene() -> Scene:
-    return Scene(
-        domain_lower=torch.zeros(3),
-        domain_upper=torch.tensor([1.5, 1.0, 1.5]),
-        gravity=torch.tensor([0.0, -9.81, 0.0]),
+    return Scene.single(
+        domain_lower=(0.0, 0.0, 0.0),
+        domain_upper=(1.5, 1.0, 1.5),
+        gravity=(0.0, -9.81, 0.0),
         particle_radius=0.05,
         support_radius=0.2,
         time_step=0.02,
@@ -144,11 +144,10 @@ def test_any_widths(hidden: int, width: int) -> None:
 
 def test_real_frames(sample: Path) -> None:
     reader = FrameReader(sample / "train.h5")
-    scene = reader.scene(1)
     search = Auto(32)
     for name, frames in reader.frames.items():
         for frame in (0, frames // 2, frames - 1):
-            found, expected = _both(reader.state(name, frame, scene), search)
+            found, expected = _both(reader.state(name, frame, stride=1), search)
             assert torch.allclose(found, expected, atol=CLOSE, rtol=0)
 
 

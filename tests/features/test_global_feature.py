@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import nn
 
-from fluidsnet.features import GlobalVector, NoGlobalFeature, VoxelFeature, VoxelField
+from fluidsnet.features import GlobalVector, NoGlobalFeature, VoxelFeature
 from fluidsnet.features.global_feature import kernel_shapes
 from fluidsnet.features.voxel import occupied_voxels
 from fluidsnet.particles import Particles
@@ -53,7 +53,7 @@ def test_cells_of_particles_against_a_loop(make_particles: Make) -> None:
     particles.position[0] = torch.tensor([-5.0, 0.5, 99.0])
     shape = (6, 4, 5)
     found = occupied_voxels(particles, shape)
-    lower, extent = particles.scene.domain_lower, particles.scene.extent
+    lower, extent = particles.scene.domain_lower[0], particles.scene.extent[0]
     for row, (position, frame) in enumerate(zip(particles.position, particles.frame, strict=True)):
         number = int(frame)
         for axis, count in enumerate(shape):
@@ -129,30 +129,3 @@ def test_no_context_has_no_weights_and_no_width(make_particles: Make) -> None:
     particles = make_particles((30, 0))
     assert context(particles, torch.randn(30, 16)).shape == (30, 0)
     assert not list(context.parameters())
-
-
-def test_the_field_between_cell_centers_is_linear(make_particles: Make) -> None:
-    particles = make_particles((400, 0), (200, 0))
-    field = VoxelField((6, 4, 6), 16).to(particles.position.device)
-    # A field that grows along x by one a cell, and by ten from frame to frame.
-    grid = torch.zeros(2, 1, 6, 4, 6, device=particles.position.device)
-    grid += torch.arange(6.0, device=grid.device).view(1, 1, 6, 1, 1)
-    grid[1] += 10
-    sampled = field._sample(grid, particles)[:, 0]
-    place = particles.position[:, 0] / 1.5 * 6 - 0.5
-    expected = place.clamp(0, 5) + 10 * particles.frame
-    assert torch.allclose(sampled, expected, atol=1e-4)
-
-
-def test_the_field_does_not_jump_where_a_particle_changes_its_cell(make_particles: Make) -> None:
-    torch.manual_seed(3)
-    particles = make_particles((200, 0))
-    field = VoxelField((6, 4, 6), 16).to(particles.position.device)
-    volume = torch.randn(1, 24, 6, 4, 6, device=particles.position.device)
-    border = particles.position.clone()
-    border[:, 0] = 0.75
-    before, after = (
-        field._sample(volume, particles.moved(border + shift, particles.velocity))
-        for shift in (-1e-6, 1e-6)
-    )
-    assert torch.allclose(before, after, atol=1e-3)

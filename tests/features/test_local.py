@@ -109,7 +109,7 @@ def test_messages_tell_a_dense_neighborhood_from_a_thin_one(make_particles: Make
 def test_inputs_are_normalized_by_the_scene(make_particles: Make) -> None:
     particles = make_particles((2, 0))
     device = particles.position.device
-    corners = torch.stack([particles.scene.domain_lower, particles.scene.domain_upper])
+    corners = torch.cat([particles.scene.domain_lower, particles.scene.domain_upper])
     inputs = ParticleState().to(device)
     inputs.velocity_deviation.fill_(4.0)
     found = inputs(particles.moved(corners, torch.full((2, 3), 2.0, device=device)))

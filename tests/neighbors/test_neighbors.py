@@ -40,10 +40,10 @@ BACKENDS: list[Callable[[int], NeighborSearch]] = [
 
 
 def _scene(radius: float = RADIUS) -> Scene:
-    return Scene(
-        domain_lower=torch.zeros(3),
-        domain_upper=torch.ones(3),
-        gravity=torch.tensor([0.0, -9.81, 0.0]),
+    return Scene.single(
+        domain_lower=(0.0, 0.0, 0.0),
+        domain_upper=(1.0, 1.0, 1.0),
+        gravity=(0.0, -9.81, 0.0),
         particle_radius=radius / 4,
         support_radius=radius,
         time_step=0.02,

@@ -65,7 +65,7 @@ def test_a_dam_of_any_size(count: int) -> None:
     assert dam.particles == pytest.approx(count, rel=0.01)
     assert np.allclose(np.array(dam.domain) / dam.domain[0], [1, 4 / 6, 1])
     recipe = dam.recipe("IISPH", 2, 0.02, 0.004)
-    (block,) = recipe.starts()["train", 0]
+    (block,) = recipe.starts()["train", 0].bodies
     lower, upper = block.bounds()
     assert np.array_equal(np.rint((upper - lower) / 0.1), dam.layers)
 
@@ -78,7 +78,7 @@ def test_the_start_without_a_solver(tmp_path: Path) -> None:
     dam = Dam.of(1000)
     dam.write_start(tmp_path / "start.h5", 2, 0.02)
     reader = FrameReader(tmp_path / "start.h5")
-    state = reader.state("00000", 2, reader.scene(1))
+    state = reader.state("00000", 2, stride=1)
     assert len(state) == dam.particles
     assert (state.position > 0).all() and (state.position < state.scene.domain_upper).all()
     options = SpeedOptions(repeats=1, threads=1, batch=2)

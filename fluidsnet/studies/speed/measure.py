@@ -88,10 +88,11 @@ class _Bench:
         self.trial, options = trial, trial.options
         self.device = torch.device(options.device)
         reader = FrameReader(trial.states)
-        scene = reader.scene(1)
         name, frames = next(iter(reader.frames.items()))
         count = options.batch if trial.kind == "batch" else 1
-        self.states = [reader.state(name, frame, scene) for frame in range(frames - count, frames)]
+        self.states = [
+            reader.state(name, frame, stride=1) for frame in range(frames - count, frames)
+        ]
         self.model = load_model(options, trial.neighbors).to(self.device)
         if trial.compile:
             compile_network(self.model.network)
