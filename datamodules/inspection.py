@@ -17,7 +17,13 @@ from fluidsnet.errors import UserError
 from fluidsnet.progress import Progress
 
 #: Texts of `_scene_texts` that are not worth a line.
-_USUAL = {"from": "(0, 0, 0) m", "surface tension": "0", "periodic": "no", "dimension": "3"}
+_USUAL = {
+    "from": "(0, 0, 0) m",
+    "surface tension": "0",
+    "periodic": "no",
+    "dimension": "3",
+    "solids": "at rest",
+}
 
 
 def inspect_simulation(
@@ -92,7 +98,7 @@ def describe(path: Path) -> str:
         header = Header.read(file)
         try:
             reports = [inspect_simulation(file[name], header) for name in simulations(file)]
-            scenes = [_scene_texts(SceneAttributes.read(file[name])) for name in simulations(file)]
+            scenes = [_scene_texts(file[name]) for name in simulations(file)]
         except DAMAGE as error:
             raise UserError(
                 f"{path}: a frame cannot be read; the file is damaged ({error})."
@@ -129,8 +135,9 @@ def describe(path: Path) -> str:
     return "\n".join(lines)
 
 
-def _scene_texts(scene: SceneAttributes) -> dict[str, str]:
-    """Return the attributes of a scene as text with units."""
+def _scene_texts(group: h5py.Group) -> dict[str, str]:
+    """Return the scene of a simulation as text with units."""
+    scene = SceneAttributes.read(group)
     return {
         "domain": f"{_numbers(np.subtract(scene.domain_upper, scene.domain_lower), ' x ')} m",
         "from": f"({_numbers(scene.domain_lower)}) m",
@@ -141,6 +148,7 @@ def _scene_texts(scene: SceneAttributes) -> dict[str, str]:
         "periodic": ", ".join(axis for axis, on in zip("xyz", scene.periodic, strict=True) if on)
         or "no",
         "dimension": f"{scene.dimension}",
+        "solids": "move" if group["solid_position"].ndim == 3 else "at rest",
     }
 
 

@@ -159,8 +159,16 @@ def simulations(file: h5py.File) -> list[str]:
     return sorted(name for name in groups if name.isdecimal() or "position" in file[name])
 
 
-def create_frames(group: h5py.Group, particles: int) -> tuple[h5py.Dataset, h5py.Dataset]:
-    """Create position and velocity in a group, each (0, particles, 3), to be resized."""
+def create_frames(
+    group: h5py.Group, particles: int, names: tuple[str, str] = ("position", "velocity")
+) -> tuple[h5py.Dataset, h5py.Dataset]:
+    """Create position and velocity in a group, each (0, particles, 3), to be resized.
+
+    Args:
+        group: Group of a simulation.
+        particles: Number of particles.
+        names: Names of the two data sets, such as those of solids that move.
+    """
     position, velocity = (
         group.create_dataset(
             name,
@@ -170,7 +178,7 @@ def create_frames(group: h5py.Group, particles: int) -> tuple[h5py.Dataset, h5py
             dtype=np.float32,
             **COMPRESSION,
         )
-        for name in ("position", "velocity")
+        for name in names
     )
     return position, velocity
 

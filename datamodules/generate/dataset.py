@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import subprocess
@@ -10,16 +9,38 @@ import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import h5py
 
 from datamodules.generate.job import Job
-from datamodules.generate.recipe import Recipe
 from datamodules.generate.solver import load_solver
 from datamodules.schema import SPLITS
 from fluidsnet.errors import UserError
 from fluidsnet.progress import Progress
+
+
+class Plan(Protocol):
+    """Plan of a data set: its simulations and the jobs that make them.
+
+    Attributes:
+        frames: Stored frames per simulation.
+        counts: Number of simulations of each split.
+    """
+
+    @property
+    def frames(self) -> int: ...
+
+    @property
+    def counts(self) -> dict[str, int]: ...
+
+    def description(self) -> str:
+        """Return the plan as JSON text, by which its data set is recognized."""
+        ...
+
+    def jobs(self, folder: Path, threads: int) -> dict[str, Job]:
+        """Return the job of each simulation by the name of its file in a folder."""
+        ...
 
 
 class Failure(NamedTuple):
@@ -31,7 +52,7 @@ class Failure(NamedTuple):
 
 
 def generate(
-    recipe: Recipe, root: Path, processes: int | None = None, threads: int = 1
+    plan: Plan, root: Path, processes: int | None = None, threads: int = 1
 ) -> list[Failure]:
     """Write ``train.h5``, ``val.h5`` and ``test.h5`` to a folder.
 
@@ -39,7 +60,7 @@ def generate(
     simulations that failed; they are not in the data set.
 
     Args:
-        recipe: Settings of the data set.
+        plan: Simulations of the data set, such as a `Recipe`.
         root: Folder of the data set.
         processes: Simulations at the same time; the number of cores by default.
         threads: Solver threads per simulation.
@@ -54,18 +75,18 @@ def generate(
         if value < 1:
             raise UserError(f"--{name} is {value}; it must be at least 1.")
     load_solver()
-    starts = recipe.starts()
     parts = root / "parts"
-    _claim(root, recipe)
+    jobs = plan.jobs(parts, threads)
+    _claim(root, plan.description())
     wanted = {
-        split: [parts / f"{split}-{number:05d}.h5" for number in range(getattr(recipe, split))]
-        for split in SPLITS
+        split: [parts / f"{split}-{number:05d}.h5" for number in range(count)]
+        for split, count in plan.counts.items()
     }
     waiting = {
-        output.stem: recipe.job(split, number, starts[split, number], output, threads)
+        output.stem: jobs[output.stem]
         for split, outputs in wanted.items()
         if not (root / f"{split}.h5").exists()
-        for number, output in enumerate(outputs)
+        for output in outputs
         if not output.exists()
     }
     if not waiting and not parts.exists():
@@ -77,8 +98,8 @@ def generate(
             shutil.rmtree(path)
         elif path.suffix != ".h5":
             path.unlink()
-    total = sum(map(len, wanted.values())) * recipe.frames
-    done = total - len(waiting) * recipe.frames
+    total = sum(map(len, wanted.values())) * plan.frames
+    done = total - len(waiting) * plan.frames
     with (
         tempfile.TemporaryDirectory(dir=parts) as scratch,
         Progress(total=total, initial=done, unit="frame", desc="simulating") as bar,
@@ -90,12 +111,9 @@ def generate(
     return failures
 
 
-def _claim(root: Path, recipe: Recipe) -> None:
-    """Write the recipe to the folder, or check that it equals the one already there."""
+def _claim(root: Path, text: str) -> None:
+    """Write a plan to the folder, or check that it equals the one already there."""
     note = root / "recipe.json"
-    scene = {f"scene.{name}": value for name, value in vars(recipe.scene).items()}
-    described = {**vars(recipe), "scene": type(recipe.scene).__name__, **scene}
-    text = json.dumps(described, indent=2, default=str, sort_keys=True)
     root.mkdir(parents=True, exist_ok=True)
     if note.exists():
         if note.read_text() != text:

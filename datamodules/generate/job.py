@@ -1,11 +1,17 @@
-"""Job of one solver process, and its scene file in SPlisHSPlasH's format."""
+"""Job of one solver process: `Job`, and that of a drawn scene."""
 
 from __future__ import annotations
 
 import json
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self, final
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
 
 from datamodules.generate.bodies import Block, Body, Drop, describe, from_description
 from datamodules.generate.mesh import write_box, write_drop
@@ -37,37 +43,117 @@ AKINCI_2012 = 0
 REGULAR_TRIANGLES = 1
 
 
-@dataclass(frozen=True)
-class Job:
+Points = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job(ABC):
     """Settings of one simulation."""
 
     output: str  # file to write once the simulation is complete
     header: Header  # attributes of the file, without those that only the solver's process knows
-    scene: SceneAttributes  # attributes of the simulation
     solver_step: float  # time step of the solver, s
     steps_per_frame: int  # solver steps between two stored frames
     frames: int  # number of stored frames, the start included
-    seed: list[int]  # of the random generator that drew the scene
-    bodies: list[Body]  # fluid at the start
     threads: int  # OpenMP threads
-    parameters: dict[str, float]  # of the pressure solver, under SPlisHSPlasH's names
+
+    @abstractmethod
+    def solver_parameters(self) -> dict[str, Any]:
+        """Return the parameters to store, under SPlisHSPlasH's names."""
+
+    @abstractmethod
+    def solver_scene(self, folder: Path) -> dict[str, Any]:
+        """Return the scene in SPlisHSPlasH's format, and write the files that it needs."""
+
+    @abstractmethod
+    def closed_box(self, solids: Sequence[Points]) -> tuple[Points, Points] | None:
+        """Return the corners of the box that no particle may leave, m; None if there is none.
+
+        Args:
+            solids: Wall particles (M, 3) of each rigid body, m.
+        """
+
+    @abstractmethod
+    def attributes(self, lower: Points, upper: Points) -> SceneAttributes:
+        """Return the scene attributes, given the corners of the closed box or of all particles."""
+
+    @abstractmethod
+    def write_notes(self, group: h5py.Group) -> None:
+        """Write the attributes that no program reads, such as the seed."""
+
+    @property
+    def seed(self) -> list[int]:
+        """Seed of the random generator that drew the scene; empty if none did."""
+        return []
+
+    @property
+    def script(self) -> str | None:
+        """Python script to run beside the solver, such as one that moves animated bodies."""
+        return None
+
+    @property
+    def solids_move(self) -> bool:
+        """Return whether the scene has an animated body."""
+        return False
 
     def to_json(self) -> str:
         """Return the job as JSON text."""
-        return json.dumps({**asdict(self), "bodies": [describe(body) for body in self.bodies]})
+        return json.dumps({"kind": type(self).__name__, **asdict(self)})
 
     @classmethod
-    def from_json(cls, text: str) -> Job:
-        """Return the job that `to_json` wrote."""
-        values = json.loads(text)
-        values["header"] = Header(**values["header"])
-        values["scene"] = SceneAttributes(**values["scene"])
-        values["bodies"] = [*map(from_description, values["bodies"])]
-        return cls(**values)
+    def from_values(cls, values: dict[str, Any]) -> Self:
+        """Return the job of the values of `to_json`, without the kind."""
+        return cls(**{**values, "header": Header(**values["header"])})
 
 
-def scene_file(job: Job, folder: Path) -> dict[str, Any]:
-    """Return a job as a SPlisHSPlasH scene, and write the files that it needs to a folder."""
+@final
+@dataclass(frozen=True, kw_only=True)
+class DrawnJob(Job):
+    """Simulation of a drawn scene in a closed box."""
+
+    scene: SceneAttributes  # attributes of the simulation
+    entropy: list[int]  # seed of the random generator that drew the scene
+    bodies: list[Body]  # fluid at the start
+    parameters: dict[str, float]  # of the pressure solver, under SPlisHSPlasH's names
+
+    @property
+    def seed(self) -> list[int]:
+        return self.entropy
+
+    def solver_parameters(self) -> dict[str, Any]:
+        return {
+            **self.parameters,
+            "timeStepSize": self.solver_step,
+            "boundaryHandlingMethod": AKINCI_2012,
+            "samplingMode": REGULAR_TRIANGLES,
+        }
+
+    def solver_scene(self, folder: Path) -> dict[str, Any]:
+        return scene_file(self, folder)
+
+    def closed_box(self, solids: Sequence[Points]) -> tuple[Points, Points] | None:
+        return np.array(self.scene.domain_lower), np.array(self.scene.domain_upper)
+
+    def attributes(self, lower: Points, upper: Points) -> SceneAttributes:
+        return self.scene
+
+    def write_notes(self, group: h5py.Group) -> None:
+        group.attrs["seed"] = json.dumps(self.seed)
+        group.attrs["scene_parameters"] = json.dumps([*map(describe, self.bodies)])
+
+    def to_json(self) -> str:
+        bodies = [*map(describe, self.bodies)]
+        return json.dumps({"kind": type(self).__name__, **asdict(self), "bodies": bodies})
+
+    @classmethod
+    def from_values(cls, values: dict[str, Any]) -> Self:
+        scene = SceneAttributes(**values["scene"])
+        bodies = [*map(from_description, values["bodies"])]
+        return super().from_values({**values, "scene": scene, "bodies": bodies})
+
+
+def scene_file(job: DrawnJob, folder: Path) -> dict[str, Any]:
+    """Return a drawn scene in SPlisHSPlasH's format, and write the files that it needs."""
     header, scene, radius = job.header, job.scene, job.header.particle_radius
     walls = folder / "walls.obj"
     write_box(walls, scene.domain_upper)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from datamodules.generate.bodies import Vector
-from datamodules.generate.job import PARAMETERS, SOLVER_STEPS, Job, SolverName
+from datamodules.generate.job import PARAMETERS, SOLVER_STEPS, DrawnJob, Job, SolverName
 from datamodules.generate.scenes import DrawnScene, SceneKind
 from datamodules.generate.symmetry import Symmetries
 from datamodules.schema import SPLITS, Header, SceneAttributes
@@ -77,6 +78,26 @@ class Recipe:
         """Time step of the solver, s: `solver_step`, or the default of the solver."""
         return SOLVER_STEPS[self.solver] if self.solver_step is None else self.solver_step
 
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of simulations of each split."""
+        return {split: getattr(self, split) for split in SPLITS}
+
+    def description(self) -> str:
+        """Return the recipe as JSON text, by which its data set is recognized."""
+        scene = {f"scene.{name}": value for name, value in vars(self.scene).items()}
+        described = {**vars(self), "scene": type(self.scene).__name__, **scene}
+        return json.dumps(described, indent=2, default=str, sort_keys=True)
+
+    def jobs(self, folder: Path, threads: int) -> dict[str, Job]:
+        """Return the job of each simulation by the name of its file in a folder."""
+        return {
+            (name := f"{split}-{number:05d}"): self.job(
+                split, number, drawn, folder / f"{name}.h5", threads
+            )
+            for (split, number), drawn in self.starts().items()
+        }
+
     def starts(self) -> dict[tuple[str, int], DrawnScene]:
         """Draw the scene of each simulation, by split and number.
 
@@ -129,7 +150,9 @@ class Recipe:
     def _entropy(self, split: str, number: int) -> list[int]:
         return [self.seed, SPLITS.index(split), number]
 
-    def job(self, split: str, number: int, drawn: DrawnScene, output: Path, threads: int) -> Job:
+    def job(
+        self, split: str, number: int, drawn: DrawnScene, output: Path, threads: int
+    ) -> DrawnJob:
         """Return the job of a simulation, given its start from `starts`."""
         steps_per_frame = round(self.frame_interval / self.step)
         header = Header(
@@ -148,14 +171,14 @@ class Recipe:
             density0=self.density0,
             viscosity=self.viscosity if drawn.viscosity is None else drawn.viscosity,
         )
-        return Job(
+        return DrawnJob(
             output=str(output),
             header=header,
             scene=scene,
             solver_step=self.step,
             steps_per_frame=steps_per_frame,
             frames=self.frames,
-            seed=self._entropy(split, number),
+            entropy=self._entropy(split, number),
             bodies=drawn.bodies,
             threads=threads,
             parameters={**PARAMETERS[self.solver], **(self.solver_parameters or {})},

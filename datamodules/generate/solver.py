@@ -11,19 +11,22 @@ from __future__ import annotations
 import ctypes
 import json
 import os
+import runpy
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import h5py
 
-from datamodules.generate.bodies import describe
-from datamodules.generate.job import AKINCI_2012, REGULAR_TRIANGLES, Job, scene_file
+from datamodules.generate.job import DrawnJob, Job
 from datamodules.generate.recorder import Recorder
+from datamodules.generate.scene_file_job import SceneFileJob
 from datamodules.schema import Header
 from fluidsnet.errors import UserError
 
@@ -83,7 +86,7 @@ def simulate(job: Job, report: int) -> None:
         with tempfile.TemporaryDirectory(dir=output.parent) as scratch:
             folder = Path(scratch)
             scene = folder / "scene.json"
-            scene.write_text(json.dumps(scene_file(job, folder)))
+            scene.write_text(json.dumps(job.solver_scene(folder)))
             base = solver.Exec.SimulatorBase()
             options = dict.fromkeys(("useGui", "initialPause", "useCache"), False)
             base.init(sceneFile=str(scene), outputDir=str(folder), stopAt=_NEVER, **options)
@@ -97,12 +100,12 @@ def simulate(job: Job, report: int) -> None:
             with h5py.File(partial, "w") as file:
                 _header(job).write(file)
                 group = file.create_group("00000")
-                job.scene.write(group)
-                group.attrs["seed"] = json.dumps(job.seed)
-                group.attrs["scene_parameters"] = json.dumps([*map(describe, job.bodies)])
+                job.write_notes(group)
                 group.attrs["threads"] = job.threads
                 recorder = Recorder(solver, job, group, report)
+                move_bodies = _script(job, solver, base)
                 while recorder.frames < job.frames:
+                    move_bodies()
                     started = time.perf_counter()
                     if not base.timeStepNoGUI():
                         raise RuntimeError(
@@ -116,19 +119,33 @@ def simulate(job: Job, report: int) -> None:
         partial.unlink(missing_ok=True)
 
 
+def _script(job: Job, solver: ModuleType, base: Any) -> Callable[[], None]:
+    """Run the scene's script, which knows the solver as `splishsplash`; return its `step`."""
+    if job.script is None:
+        return lambda: None
+    sys.modules["splishsplash"] = solver
+    names = runpy.run_path(job.script)
+    if "init" in names:
+        names["init"](base)
+    step: Callable[[], None] = names.get("step", lambda: None)
+    return step
+
+
 def _header(job: Job) -> Header:
-    parameters = {
-        **job.parameters,
-        "timeStepSize": job.solver_step,
-        "boundaryHandlingMethod": AKINCI_2012,
-        "samplingMode": REGULAR_TRIANGLES,
-    }
-    return replace(job.header, solver_version=solver_version(), solver_parameters=parameters)
+    return replace(
+        job.header, solver_version=solver_version(), solver_parameters=job.solver_parameters()
+    )
+
+
+def _read_job(path: Path) -> Job:
+    values = json.loads(path.read_text())
+    kinds: dict[str, type[Job]] = {kind.__name__: kind for kind in (DrawnJob, SceneFileJob)}
+    return kinds[values.pop("kind")].from_values(values)
 
 
 def main(arguments: list[str]) -> int:
     """Run a job: the arguments are its file and the file descriptor to report to."""
-    job = Job.from_json(Path(arguments[0]).read_text())
+    job = _read_job(Path(arguments[0]))
     try:
         simulate(job, int(arguments[1]))
     except BrokenPipeError:  # the process that started this one is gone

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from datamodules.generate.bodies import Block, Drop
 from datamodules.generate.dataset import generate
-from datamodules.generate.job import Job, SolverName, scene_file
+from datamodules.generate.job import DrawnJob, SolverName, scene_file
 from datamodules.generate.recipe import Recipe
 from datamodules.generate.recorder import EscapedError, Recorder
 from datamodules.generate.scenes import CLEARANCE, DamBreak, DrawnScene, DropPool, SceneKind
@@ -421,7 +421,7 @@ def test_the_solvers_process_imports_neither_torch_nor_lightning() -> None:
     assert out.stdout.strip() == "[]"
 
 
-def job(tmp_path: Path, **changes: Any) -> Job:
+def job(tmp_path: Path, **changes: Any) -> DrawnJob:
     recipe = replace(RECIPE, frames=3, **changes)
     return recipe.job("train", 0, recipe.starts()["train", 0], tmp_path / "part.h5", 1)
 
@@ -580,6 +580,8 @@ def test_a_recipes_own_parameters_reach_the_solver(tmp_path: Path) -> None:
 def test_a_job_comes_back_from_its_text(tmp_path: Path) -> None:
     kind: SceneKind = DropPool(DOMAIN, mesh=tmp_path / "drop.obj")
     made = job(tmp_path, scene=kind, particle_radius=0.05)
-    back = Job.from_json(made.to_json())
+    values = json.loads(made.to_json())
+    assert values.pop("kind") == "DrawnJob"
+    back = DrawnJob.from_values(values)
     assert back.to_json() == made.to_json()
     assert [type(body) for body in back.bodies] == [Block, Drop]
