@@ -6,8 +6,8 @@ import torch
 from torch import Tensor, nn
 from torch_scatter import gather_csr, segment_csr
 
-from fluidsnet.kernels import use_kernel
 from fluidsnet.kernels import moments as compiled
+from fluidsnet.kernels import use_kernel
 
 #: Number of moments of each feature.
 MOMENTS = compiled.MOMENTS

@@ -9,7 +9,7 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from fluidsnet.kernels.columns import UNITS, add_units, as_array, rounded_up
+from fluidsnet.kernels.columns import as_array
 from fluidsnet.kernels.threads import set_threads
 
 #: Number of moments: of order zero, three of order one, six of order two.

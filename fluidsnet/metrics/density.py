@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import final
 
@@ -14,10 +13,7 @@ from fluidsnet.metrics.base import RolloutMetric
 from fluidsnet.neighbors.auto import Auto
 from fluidsnet.neighbors.search import NeighborSearch
 from fluidsnet.particles import Particles
-
-# A particle at rest has about 40 neighbors. More than this many, in fluid about six times too
-# dense, are cut to the nearest ones, which weigh most.
-_NEIGHBORS = 256
+from fluidsnet.sph import NEIGHBORS, cubic_spline, edge_lengths, solid_volumes
 
 
 @final
@@ -36,7 +32,7 @@ class Density:
     """
 
     def __init__(self, search: NeighborSearch | None = None) -> None:
-        self.search = search or Auto(_NEIGHBORS)
+        self.search = search or Auto(NEIGHBORS)
         self._volumes: TensorCache[Tensor] = TensorCache()
 
     def __call__(self, particles: Particles) -> Tensor:
@@ -46,35 +42,17 @@ class Density:
         solids = self._volumes.get(
             (particles.solid_position, particles.solid_frame),
             (radius, particles.frames),
-            lambda position, frame: self._solid_volumes(particles),
+            lambda position, frame: solid_volumes(particles, self.search),
         )
         volumes = torch.cat([solids.new_full((len(particles),), fluid), solids])
         both = torch.cat([particles.position, particles.solid_position])
         edges = self.search(particles)
-        distance = _edge_lengths(particles.position, both, edges.particle, edges.neighbor)
+        distance = edge_lengths(particles.position, both, edges.particle, edges.neighbor)
         center = fluid * cubic_spline(distance.new_zeros(()), radius)
         density = center.repeat(len(particles)).index_add_(
             0, edges.particle, volumes[edges.neighbor] * cubic_spline(distance, radius)
         )
         return density.where(particles.position.isfinite().all(dim=1), torch.nan)
-
-    def _solid_volumes(self, particles: Particles) -> Tensor:
-        """Return V_b of each solid particle, (M,) float64, m³."""
-        position, radius = particles.solid_position, particles.scene.support_radius
-        solids = Particles(
-            position=position,
-            velocity=particles.solid_velocity,
-            frame=particles.solid_frame,
-            solid_position=position[:0],
-            solid_velocity=position[:0],
-            solid_frame=particles.solid_frame[:0],
-            frames=particles.frames,
-            scene=particles.scene,
-        )
-        edges = self.search(solids)
-        distance = _edge_lengths(position, position, edges.particle, edges.neighbor)
-        center = cubic_spline(distance.new_zeros(()), radius).repeat(len(position))
-        return 1 / center.index_add_(0, edges.particle, cubic_spline(distance, radius))
 
 
 @final
@@ -105,17 +83,3 @@ class DensityError(RolloutMetric):
         excess = (self.density(predicted) - 1).clamp_min(0)
         errors = torch.stack([excess.mean(), excess.quantile(0.999)])
         return errors.where(excess.isfinite().all(), torch.inf)
-
-
-def cubic_spline(distance: Tensor, support: float) -> Tensor:
-    """Return the kernel W, 1/m³, of distances in m; zero from the support radius (m) on."""
-    q = (distance / support).clamp(max=1)
-    near = 6 * (q**3 - q**2) + 1
-    return 8 / (math.pi * support**3) * near.where(q <= 0.5, 2 * (1 - q) ** 3)
-
-
-def _edge_lengths(position: Tensor, both: Tensor, particle: Tensor, neighbor: Tensor) -> Tensor:
-    """Return the length of each edge, (E,) float64 m."""
-    offset = both.index_select(0, neighbor) - position.index_select(0, particle)
-    length: Tensor = torch.linalg.vector_norm(offset, dim=1, dtype=torch.float64)
-    return length

@@ -1,0 +1,93 @@
+"""`PressureStep` by the compiled kernel: particles are sorted, stepped, and put back in order."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fluidsnet.cache import TensorCache
+from fluidsnet.kernels.cell_table import CellTable, CellTables
+from fluidsnet.kernels.columns import as_array
+from fluidsnet.kernels.near_lists import near_lists
+from fluidsnet.kernels.pressure_step import Box, Numbers, State, Walls, pressure_step, solid_volumes
+from fluidsnet.particles import Particles
+from fluidsnet.priors.prior import Guess
+
+
+@final
+class CompiledStep:
+    """Step of fluid particles by the compiled kernel; solids at rest are sorted once."""
+
+    def __init__(self) -> None:
+        self._tables = CellTables()
+        self._volumes: TensorCache[NDArray[np.float32]] = TensorCache()
+
+    def __call__(
+        self, particles: Particles, searched: Tensor, box: Box, numbers: Numbers, substeps: int
+    ) -> Guess:
+        """Return the state one step later.
+
+        Args:
+            particles: N fluid particles and the solid ones, float32 on the CPU.
+            searched: (N, 3) places at which neighbors are searched, m.
+            box: Scene of each frame.
+            numbers: Numbers of the step.
+            substeps: Number of substeps.
+        """
+        fluid, solids = self._tables(particles.moved(searched, particles.velocity))
+        walls = Walls(solids.place, self._solid_volumes(particles, solids))
+        lists = near_lists(fluid, solids, particles.scene.support_radius)
+        place, velocity = (
+            as_array(values)[fluid.row] for values in (particles.position, particles.velocity)
+        )
+        state = _empty_state(len(place))
+        pressure_step(place, velocity, fluid.frame, lists, walls, box, numbers, substeps, state)
+        position, moved = np.empty_like(place), np.empty_like(velocity)
+        position[fluid.row], moved[fluid.row] = place, velocity
+        return Guess(torch.from_numpy(position), torch.from_numpy(moved))
+
+    def _solid_volumes(self, particles: Particles, solids: CellTable) -> NDArray[np.float32]:
+        radius = particles.scene.support_radius
+
+        def volumes(position: Tensor, frame: Tensor) -> NDArray[np.float32]:
+            alone, none = CellTables()(_as_fluid(particles))
+            volume = np.empty(len(alone.row), np.float32)
+            solid_volumes(alone.place, near_lists(alone, none, radius), radius, volume)
+            # Both tables sort the same particles, maybe into other cells.
+            of_row = np.empty_like(volume)
+            of_row[alone.row] = volume
+            ordered: NDArray[np.float32] = of_row[solids.row]
+            return ordered
+
+        return self._volumes.get(
+            (particles.solid_position, particles.solid_frame), (radius, particles.frames), volumes
+        )
+
+
+def _as_fluid(particles: Particles) -> Particles:
+    """Return the solid particles of a batch as if they were fluid."""
+    position = particles.solid_position
+    return Particles(
+        position=position,
+        velocity=particles.solid_velocity,
+        frame=particles.solid_frame,
+        solid_position=position[:0],
+        solid_velocity=position[:0],
+        solid_frame=particles.solid_frame[:0],
+        frames=particles.frames,
+        scene=particles.scene,
+    )
+
+
+def _empty_state(count: int) -> State:
+    def empty(*shape: int) -> NDArray[np.float32]:
+        return np.empty((count, *shape), np.float32)
+
+    return State(
+        middle=empty(3), density=empty(), surface=empty(3), count=empty(), divergence=empty(),
+        left=empty(), divergence_pressure=empty(), pressure=empty(),
+    )  # fmt: skip

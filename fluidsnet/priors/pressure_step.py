@@ -1,0 +1,295 @@
+"""Coarse SPH pressure step: a few substeps of DFSPH with few sweeps, on one neighbor list."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import final
+
+import torch
+from torch import Tensor
+from torch.profiler import record_function
+
+from fluidsnet.errors import UserError
+from fluidsnet.kernels import use_kernel
+from fluidsnet.kernels.columns import as_array
+from fluidsnet.kernels.pressure_step import REGULARIZATION, Box, Numbers
+from fluidsnet.neighbors.auto import Auto
+from fluidsnet.neighbors.search import Neighbors
+from fluidsnet.particles import Particles
+from fluidsnet.priors.compiled_step import CompiledStep
+from fluidsnet.priors.prior import Guess, Prior
+from fluidsnet.sph import NEIGHBORS, cubic_spline, solid_volumes, spline_slope
+
+
+@final
+class PressureStep(Prior):
+    r"""DFSPH (Bender and Koschier 2017) with few substeps and sweeps, compactly.
+
+    Neighbors are searched once, at :math:`x + ½Δt·v`. In each substep h the gradients
+    :math:`V_j ∇W_{ij}` are taken at :math:`x + ½h·v`, and then
+
+    1. viscosity acts: :math:`v_i ← v_i + 10νh \sum_j \frac{V}{ρ_j/ρ_0}
+       \frac{v_{ij}·x_{ij}}{x_{ij}^2 + 0.01 r^2} ∇W_{ij}`;
+    2. pressures reduce the divergence, then, after gravity, divergence and excess density. A sweep
+       is :math:`p_i ← \max(p_i + ω α_i s_i, 0)` and :math:`v_i ← v_i - \sum_j V_j ∇W_{ij}
+       (Δp_i + Δp_j)`, with :math:`α_i = 1 / (|\sum_j V_j ∇W|^2 + \sum_j |V ∇W|^2 + 0.01/r^2)` and
+       :math:`s_i = D_i v`, in the second phase :math:`D_i v + (ρ_i/ρ_0 - 1) / h`. Each phase starts
+       from a share of its pressure in the last substep;
+    3. :math:`x ← x + h((1 - a) v_0 + a v)`, with a = (m + 1) / 2m, which is the displacement of m
+       steps of symplectic Euler under a constant force; particles stop at the walls.
+
+    :math:`D_i v = \sum_j V_j (v_i - v_j)·∇W_{ij}` is the rate of ρ/ρ₀; r is the support radius, W the
+    cubic spline, V = (2R)³ the volume of a particle of radius R, and V_j that of a solid, 1/ΣW over
+    the solids around it (Akinci et al. 2012). The push is antisymmetric, so it conserves momentum.
+
+    Args:
+        substeps: Number of substeps; four at a step of 20 ms and a particle radius of 25 mm.
+        sweeps: Sweeps over density in a substep.
+        divergence_sweeps: Sweeps over divergence in a substep.
+        solver_step: Time step of the solver that made the data, s, which sets m.
+        relaxation: ω of the sweeps.
+        warm_start: Share of the pressure that the next substep starts from.
+        clearance: Distance from the walls at which particles stop, particle radii.
+
+    Raises:
+        UserError: An argument is out of range.
+    """
+
+    def __init__(
+        self,
+        substeps: int = 4,
+        sweeps: int = 2,
+        divergence_sweeps: int = 2,
+        solver_step: float = 0.0025,
+        relaxation: float = 0.6,
+        warm_start: float = 0.8,
+        clearance: float = 0.9,
+    ) -> None:
+        super().__init__()
+        for name, value, least in (
+            ("substeps", substeps, 1),
+            ("sweeps", sweeps, 0),
+            ("divergence_sweeps", divergence_sweeps, 0),
+            ("relaxation", relaxation, 0),
+            ("warm_start", warm_start, 0),
+            ("clearance", clearance, 0),
+        ):
+            if not least <= value < math.inf:
+                raise UserError(f"PressureStep: {name} is {value}; set at least {least}.")
+        if not 0 < solver_step < math.inf:
+            raise UserError(f"PressureStep: solver_step is {solver_step}; set it above zero, in s.")
+        self.substeps, self.sweeps, self.divergence_sweeps = substeps, sweeps, divergence_sweeps
+        self.solver_step, self.relaxation = solver_step, relaxation
+        self.warm_start, self.clearance = warm_start, clearance
+        self._search = Auto(NEIGHBORS)
+        self._compiled = CompiledStep()
+
+    def mean_weight(self, time_step: float) -> float:
+        """Return a, the weight of the new velocity in the displacement of a substep."""
+        steps = max(time_step / self.substeps / self.solver_step, 1.0)
+        return (steps + 1) / (2 * steps)
+
+    def forward(self, particles: Particles) -> Guess:
+        with record_function("prior"):
+            if use_kernel(self, particles.position, particles.velocity, particles.solid_position):
+                return self._kernel(particles)
+            return self._reference(particles)
+
+    def _kernel(self, particles: Particles) -> Guess:
+        scene = particles.scene
+        box = _Box.of(particles, self.clearance)
+        lower, upper = box_corners(particles, self.clearance)
+        numbers = Numbers(
+            radius=scene.support_radius,
+            volume=(2 * scene.particle_radius) ** 3,
+            substep=scene.time_step / self.substeps,
+            mean_weight=self.mean_weight(scene.time_step),
+            sweeps=self.sweeps,
+            divergence_sweeps=self.divergence_sweeps,
+            relaxation=self.relaxation,
+            warm_start=self.warm_start,
+        )
+        rows = Box(*map(as_array, (lower, upper, scene.gravity, scene.viscosity)))
+        return self._compiled(
+            particles, box.inside(self._middle(particles)), rows, numbers, self.substeps
+        )
+
+    def _middle(self, particles: Particles) -> Tensor:
+        return particles.position + particles.scene.time_step / 2 * particles.velocity
+
+    def _reference(self, particles: Particles) -> Guess:
+        scene = particles.scene
+        box = _Box.of(particles, self.clearance)
+        searched = particles.moved(box.inside(self._middle(particles)), particles.velocity)
+        edges = self._search(searched)
+        geometry = _Geometry.of(searched, edges)
+        step = scene.time_step / self.substeps
+        weight = self.mean_weight(scene.time_step)
+        gravity = particles.per_particle(scene.gravity)
+        viscosity = 10 * step * particles.per_particle(scene.viscosity[:, None])
+        position, velocity = particles.position, particles.velocity
+        divergence_pressure = pressure = position.new_zeros(len(position))
+        for _ in range(self.substeps):
+            before = velocity
+            at = geometry.at(box.inside(position + step / 2 * velocity))
+            divergence_pressure = self.warm_start * divergence_pressure
+            pressure = self.warm_start * pressure
+            velocity = velocity + viscosity * at.viscous(velocity)
+            velocity = velocity - at.push(divergence_pressure)
+            for _ in range(self.divergence_sweeps):
+                raised = self._raised(at, divergence_pressure, at.divergence(velocity))
+                velocity = velocity - at.push(raised - divergence_pressure)
+                divergence_pressure = raised
+            velocity = velocity + step * gravity - at.push(pressure)
+            for _ in range(self.sweeps):
+                rate = at.divergence(velocity) + (at.density - 1) / step
+                raised = self._raised(at, pressure, rate)
+                velocity = velocity - at.push(raised - pressure)
+                pressure = raised
+            position = position + step * ((1 - weight) * before + weight * velocity)
+            position, velocity = box.stop(position, velocity)
+        return Guess(position, velocity)
+
+    def _raised(self, at: _Gradients, pressure: Tensor, rate: Tensor) -> Tensor:
+        return (pressure + self.relaxation * at.stiffness * rate).clamp_min(0)
+
+
+@dataclass(frozen=True)
+class _Box:
+    """Walls at which particles stop, a row for each particle or one for all, m."""
+
+    lower: Tensor
+    upper: Tensor
+
+    @classmethod
+    def of(cls, particles: Particles, clearance: float) -> _Box:
+        lower, upper = box_corners(particles, clearance)
+        return cls(particles.per_particle(lower), particles.per_particle(upper))
+
+    def inside(self, position: Tensor) -> Tensor:
+        """Return positions (N, 3) moved into the box."""
+        return position.clamp(self.lower, self.upper)
+
+    def stop(self, position: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the state in which particles beyond a wall stop at it."""
+        outward = ((position < self.lower) & (velocity < 0)) | (
+            (position > self.upper) & (velocity > 0)
+        )
+        return position.clamp(self.lower, self.upper), velocity.masked_fill(outward, 0.0)
+
+
+def box_corners(particles: Particles, clearance: float) -> tuple[Tensor, Tensor]:
+    """Return the corners (F, 3) of the boxes that the particles' centers stay in, m."""
+    scene = particles.scene
+    # In a box narrower than two clearances, particles stop in the middle.
+    gap = (scene.extent / 2).clamp_max(clearance * scene.particle_radius)
+    return scene.domain_lower + gap, scene.domain_upper - gap
+
+
+@dataclass(frozen=True)
+class _Geometry:
+    """Edges of a step, and what does not change in it.
+
+    Attributes:
+        particle: (E,) fluid particle of each edge.
+        neighbor: (E,) fluid particle, or of an edge to a solid 0.
+        wet: (E,) whether the neighbor is fluid.
+        place: (E, 3) of the solid neighbor, m.
+        volume: (E,) of the neighbor, m³.
+        own_volume: Of a fluid particle, m³.
+        radius: Support radius, m.
+        count: Number of fluid particles.
+    """
+
+    particle: Tensor
+    neighbor: Tensor
+    wet: Tensor
+    place: Tensor
+    volume: Tensor
+    own_volume: float
+    radius: float
+    count: int
+
+    @classmethod
+    def of(cls, particles: Particles, edges: Neighbors) -> _Geometry:
+        count, scene = len(particles), particles.scene
+        own_volume = (2 * scene.particle_radius) ** 3
+        solids = solid_volumes(particles).to(particles.position.dtype)
+        volumes = torch.cat([solids.new_full((count,), own_volume), solids])
+        both = torch.cat([particles.position, particles.solid_position])
+        wet = edges.neighbor < count
+        return cls(
+            particle=edges.particle,
+            neighbor=edges.neighbor.where(wet, 0),
+            wet=wet,
+            place=both.index_select(0, edges.neighbor),
+            volume=volumes.index_select(0, edges.neighbor),
+            own_volume=own_volume,
+            radius=scene.support_radius,
+            count=count,
+        )
+
+    def at(self, position: Tensor) -> _Gradients:
+        """Return the gradients at positions (N, 3), m."""
+        other = position.index_select(0, self.neighbor)
+        other = torch.where(self.wet[:, None], other, self.place)
+        offset = position.index_select(0, self.particle) - other
+        distance = torch.linalg.vector_norm(offset, dim=1) + 1e-8 * self.radius
+        gradient = (self.volume * spline_slope(distance, self.radius) / distance)[:, None] * offset
+        density = self.sum(self.volume * cubic_spline(distance, self.radius))
+        density = density + self.own_volume * cubic_spline(distance.new_zeros(()), self.radius)
+        squares = gradient.square().sum(dim=1) * self.wet
+        diagonal = self.sum(gradient).square().sum(dim=1) + self.sum(squares)
+        stiffness = 1 / (diagonal + REGULARIZATION / self.radius**2)
+        return _Gradients(self, offset, gradient, density, stiffness)
+
+    def sum(self, values: Tensor) -> Tensor:
+        """Return the sum over the edges (E, ...) of each particle, (N, ...)."""
+        zeros = values.new_zeros(self.count, *values.shape[1:])
+        return zeros.index_add(0, self.particle, values)
+
+
+@dataclass(frozen=True)
+class _Gradients:
+    """V∇W of each edge at a place of the particles, and the operations that it defines.
+
+    Attributes:
+        edges: The edges.
+        offset: (E, 3) from neighbor to particle, m.
+        gradient: (E, 3) V∇W, 1/m.
+        density: (N,) ρ/ρ₀.
+        stiffness: (N,) α, m².
+    """
+
+    edges: _Geometry
+    offset: Tensor
+    gradient: Tensor
+    density: Tensor
+    stiffness: Tensor
+
+    def divergence(self, velocity: Tensor) -> Tensor:
+        """Return D v, the rate of ρ/ρ₀ (N,), 1/s; solids rest."""
+        return self.edges.sum((self.gradient * self._relative(velocity)).sum(dim=1))
+
+    def push(self, pressure: Tensor) -> Tensor:
+        """Return Σ V∇W (p_i + p_j), (N, 3) m/s; a solid has no pressure of its own."""
+        edges = self.edges
+        both = pressure.index_select(0, edges.particle) + (
+            pressure.index_select(0, edges.neighbor) * edges.wet
+        )
+        return edges.sum(self.gradient * both[:, None])
+
+    def viscous(self, velocity: Tensor) -> Tensor:
+        """Return the viscous acceleration (N, 3) over 10ν, between fluid particles."""
+        edges = self.edges
+        along = (self._relative(velocity) * self.offset).sum(dim=1) * edges.wet
+        along = along / (self.offset.square().sum(dim=1) + 0.01 * edges.radius**2)
+        along = along / self.density.index_select(0, edges.neighbor)
+        return edges.sum(along[:, None] * self.gradient)
+
+    def _relative(self, velocity: Tensor) -> Tensor:
+        """Return v_i - v_j of each edge, (E, 3)."""
+        edges = self.edges
+        other = velocity.index_select(0, edges.neighbor) * edges.wet[:, None]
+        return velocity.index_select(0, edges.particle) - other

@@ -1,0 +1,62 @@
+"""SPH kernel and the volumes of solid particles."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from fluidsnet.neighbors.auto import Auto
+from fluidsnet.neighbors.search import NeighborSearch
+from fluidsnet.particles import Particles
+
+#: More neighbors than this, in fluid about six times too dense, are cut to the nearest ones.
+NEIGHBORS = 256
+
+
+def cubic_spline(distance: Tensor, support: float) -> Tensor:
+    """Return the kernel W, 1/m³, of distances in m; zero from the support radius (m) on."""
+    q = (distance / support).clamp(max=1)
+    near = 6 * (q**3 - q**2) + 1
+    return 8 / (math.pi * support**3) * near.where(q <= 0.5, 2 * (1 - q) ** 3)
+
+
+def spline_slope(distance: Tensor, support: float) -> Tensor:
+    """Return the derivative of `cubic_spline` by the distance, 1/m⁴."""
+    q = (distance / support).clamp(max=1)
+    near = 18 * q**2 - 12 * q
+    return 8 / (math.pi * support**4) * near.where(q <= 0.5, -6 * (1 - q) ** 2)
+
+
+def solid_volumes(particles: Particles, search: NeighborSearch | None = None) -> Tensor:
+    """Return the volume 1/ΣW of each solid particle (Akinci et al. 2012), (M,) float64 m³.
+
+    The sum is over the solids around it, itself included.
+
+    Args:
+        particles: Particles with M solid ones.
+        search: Neighbor search; `Auto` by default.
+    """
+    position, radius = particles.solid_position, particles.scene.support_radius
+    solids = Particles(
+        position=position,
+        velocity=particles.solid_velocity,
+        frame=particles.solid_frame,
+        solid_position=position[:0],
+        solid_velocity=position[:0],
+        solid_frame=particles.solid_frame[:0],
+        frames=particles.frames,
+        scene=particles.scene,
+    )
+    edges = (search or Auto(NEIGHBORS))(solids)
+    distance = edge_lengths(position, position, edges.particle, edges.neighbor)
+    center = cubic_spline(distance.new_zeros(()), radius).repeat(len(position))
+    return 1 / center.index_add_(0, edges.particle, cubic_spline(distance, radius))
+
+
+def edge_lengths(position: Tensor, both: Tensor, particle: Tensor, neighbor: Tensor) -> Tensor:
+    """Return the length of each edge, (E,) float64 m."""
+    offset = both.index_select(0, neighbor) - position.index_select(0, particle)
+    length: Tensor = torch.linalg.vector_norm(offset, dim=1, dtype=torch.float64)
+    return length
