@@ -80,7 +80,7 @@ def _backward(
 
     The edges are symmetric, so a particle gathers from its own neighbors.
     """
-    count, width = out.shape
+    count = len(out)
     for chunk in prange((count + _CHUNK - 1) // _CHUNK):
         weights = np.zeros((MOMENTS, 1), np.float32)
         for i in range(chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK)):

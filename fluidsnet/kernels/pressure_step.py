@@ -75,7 +75,7 @@ class State(NamedTuple):
         middle: Place at which the last gradients were taken, m.
         density: ρ/ρ₀ there.
         surface: Sum of V∇W over fluid and solids there, 1/m.
-        count: Number of neighbors, fluid and solid.
+        neighbors: Number of neighbors, fluid and solid.
         divergence: Rate of ρ/ρ₀ of the velocity before the step, 1/s.
         left: Rate of ρ/ρ₀ that is left after the step, 1/s.
         divergence_pressure, pressure: Of the two phases of the last substep, m²/s.
@@ -84,7 +84,7 @@ class State(NamedTuple):
     middle: Array
     density: Array
     surface: Array
-    count: Array
+    neighbors: Array
     divergence: Array
     left: Array
     divergence_pressure: Array
@@ -104,8 +104,6 @@ def pressure_step(
     middle, total, density = state.middle, state.surface, state.density
     upkeep, pressure = state.divergence_pressure, state.pressure
     offset, neighbor = lists.offset, lists.neighbor
-    upkeep[:] = 0
-    pressure[:] = 0
     # Each loop over the particles is a function of its own that takes plain arrays: numba fuses
     # loops that read what the one before wrote for other particles, and corrupts named tuples.
     for substep in range(substeps):
@@ -144,7 +142,7 @@ def pressure_step(
     _diverge(offset, neighbor, gradient, total, velocity, state.left)
     for i in range(count):
         solids = lists.wall_offset[i + 1] - lists.wall_offset[i]
-        state.count[i] = np.float32(offset[i + 1] - offset[i] + solids)
+        state.neighbors[i] = np.float32(offset[i + 1] - offset[i] + solids)
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=_FAST)
@@ -168,11 +166,8 @@ def _take_gradients(
 ) -> None:  # fmt: skip
     """Write gradients, density and stiffness at places (N, 3).
 
-    Args:
-        gradient: (3, E) V∇W of each fluid neighbor, 1/m.
-        total: (N, 3) sum of V∇W over fluid and solids, 1/m.
-        density: (N,) ρ/ρ₀.
-        stiffness: (N,) α times the relaxation, m².
+    `gradient` (3, E) is V∇W of each fluid neighbor, 1/m; `total` (N, 3) its sum over fluid and
+    solids; `density` (N,) is ρ/ρ₀, and `stiffness` (N,) α times the relaxation, m².
     """
     height = np.float32(8.0 / (math.pi * radius**3))
     inverse, own = np.float32(1.0 / radius), np.float32(volume)

@@ -14,8 +14,8 @@ from fluidsnet.kernels.cell_table import CellTable, CellTables
 from fluidsnet.kernels.columns import as_array
 from fluidsnet.kernels.near_lists import near_lists
 from fluidsnet.kernels.pressure_step import Box, Numbers, State, Walls, pressure_step, solid_volumes
+from fluidsnet.kernels.threads import set_threads
 from fluidsnet.particles import Particles
-from fluidsnet.priors.prior import Guess
 
 
 @final
@@ -27,13 +27,20 @@ class CompiledStep:
         self._volumes: TensorCache[NDArray[np.float32]] = TensorCache()
 
     def __call__(
-        self, particles: Particles, searched: Tensor, box: Box, numbers: Numbers, substeps: int
-    ) -> Guess:
-        """Return the state one step later.
+        self,
+        particles: Particles,
+        searched: Tensor,
+        pressures: tuple[Tensor, Tensor],
+        box: Box,
+        numbers: Numbers,
+        substeps: int,
+    ) -> tuple[Particles, tuple[Tensor, Tensor]]:
+        """Return the state some substeps later, and its pressures.
 
         Args:
             particles: N fluid particles and the solid ones, float32 on the CPU.
             searched: (N, 3) places at which neighbors are searched, m.
+            pressures: (N,) m²/s, of the phases of divergence and density.
             box: Scene of each frame.
             numbers: Numbers of the step.
             substeps: Number of substeps.
@@ -41,14 +48,13 @@ class CompiledStep:
         fluid, solids = self._tables(particles.moved(searched, particles.velocity))
         walls = Walls(solids.place, self._solid_volumes(particles, solids))
         lists = near_lists(fluid, solids, particles.scene.support_radius)
-        place, velocity = (
-            as_array(values)[fluid.row] for values in (particles.position, particles.velocity)
-        )
-        state = _empty_state(len(place))
+        set_threads(len(particles))
+        values = (particles.position, particles.velocity, *pressures)
+        place, velocity, upkeep, pressure = (as_array(it)[fluid.row] for it in values)
+        state = _state(upkeep, pressure)
         pressure_step(place, velocity, fluid.frame, lists, walls, box, numbers, substeps, state)
-        position, moved = np.empty_like(place), np.empty_like(velocity)
-        position[fluid.row], moved[fluid.row] = place, velocity
-        return Guess(torch.from_numpy(position), torch.from_numpy(moved))
+        rows = [_in_rows(it, fluid.row) for it in (place, velocity, upkeep, pressure)]
+        return particles.moved(rows[0], rows[1]), (rows[2], rows[3])
 
     def _solid_volumes(self, particles: Particles, solids: CellTable) -> NDArray[np.float32]:
         radius = particles.scene.support_radius
@@ -83,11 +89,18 @@ def _as_fluid(particles: Particles) -> Particles:
     )
 
 
-def _empty_state(count: int) -> State:
+def _in_rows(values: NDArray[np.float32], row: NDArray[np.int32]) -> Tensor:
+    """Return sorted values (N, ...) in the rows of the particles."""
+    rows = np.empty_like(values)
+    rows[row] = values
+    return torch.from_numpy(rows)
+
+
+def _state(upkeep: NDArray[np.float32], pressure: NDArray[np.float32]) -> State:
     def empty(*shape: int) -> NDArray[np.float32]:
-        return np.empty((count, *shape), np.float32)
+        return np.empty((len(pressure), *shape), np.float32)
 
     return State(
-        middle=empty(3), density=empty(), surface=empty(3), count=empty(), divergence=empty(),
-        left=empty(), divergence_pressure=empty(), pressure=empty(),
+        middle=empty(3), density=empty(), surface=empty(3), neighbors=empty(), divergence=empty(),
+        left=empty(), divergence_pressure=upkeep, pressure=pressure,
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Coarse SPH pressure step: a few substeps of DFSPH with few sweeps, on one neighbor list."""
+"""Coarse SPH pressure step: a few substeps of DFSPH with few sweeps and few searches."""
 
 from __future__ import annotations
 
@@ -26,8 +26,9 @@ from fluidsnet.sph import NEIGHBORS, cubic_spline, solid_volumes, spline_slope
 class PressureStep(Prior):
     r"""DFSPH (Bender and Koschier 2017) with few substeps and sweeps, compactly.
 
-    Neighbors are searched once, at :math:`x + ½Δt·v`. In each substep h the gradients
-    :math:`V_j ∇W_{ij}` are taken at :math:`x + ½h·v`, and then
+    Neighbors are searched once or twice a step, at the place :math:`x + ½t·v` in the middle of the
+    time t of a search. In each substep h the gradients :math:`V_j ∇W_{ij}` are taken at
+    :math:`x + ½h·v`, and then
 
     1. viscosity acts: :math:`v_i ← v_i + 10νh \sum_j \frac{V}{ρ_j/ρ_0}
        \frac{v_{ij}·x_{ij}}{x_{ij}^2 + 0.01 r^2} ∇W_{ij}`;
@@ -39,12 +40,15 @@ class PressureStep(Prior):
     3. :math:`x ← x + h((1 - a) v_0 + a v)`, with a = (m + 1) / 2m, which is the displacement of m
        steps of symplectic Euler under a constant force; particles stop at the walls.
 
-    :math:`D_i v = \sum_j V_j (v_i - v_j)·∇W_{ij}` is the rate of ρ/ρ₀; r is the support radius, W the
-    cubic spline, V = (2R)³ the volume of a particle of radius R, and V_j that of a solid, 1/ΣW over
-    the solids around it (Akinci et al. 2012). The push is antisymmetric, so it conserves momentum.
+    :math:`D_i v = \sum_j V_j (v_i - v_j)·∇W_{ij}` is the rate of ρ/ρ₀; r is the support radius, W
+    the cubic spline, V = (2R)³ the volume of a particle of radius R, and V_j that of a solid, 1/ΣW
+    over the solids around it (Akinci et al. 2012). The push is antisymmetric, so it conserves
+    momentum.
 
     Args:
-        substeps: Number of substeps; four at a step of 20 ms and a particle radius of 25 mm.
+        searches: Number of neighbor searches in a step.
+        substeps: Number of substeps for each search; at a step of 20 ms and a particle radius of
+            25 mm, two of each.
         sweeps: Sweeps over density in a substep.
         divergence_sweeps: Sweeps over divergence in a substep.
         solver_step: Time step of the solver that made the data, s, which sets m.
@@ -58,8 +62,9 @@ class PressureStep(Prior):
 
     def __init__(
         self,
-        substeps: int = 4,
-        sweeps: int = 2,
+        searches: int = 2,
+        substeps: int = 2,
+        sweeps: int = 3,
         divergence_sweeps: int = 2,
         solver_step: float = 0.0025,
         relaxation: float = 0.6,
@@ -68,6 +73,7 @@ class PressureStep(Prior):
     ) -> None:
         super().__init__()
         for name, value, least in (
+            ("searches", searches, 1),
             ("substeps", substeps, 1),
             ("sweeps", sweeps, 0),
             ("divergence_sweeps", divergence_sweeps, 0),
@@ -79,68 +85,80 @@ class PressureStep(Prior):
                 raise UserError(f"PressureStep: {name} is {value}; set at least {least}.")
         if not 0 < solver_step < math.inf:
             raise UserError(f"PressureStep: solver_step is {solver_step}; set it above zero, in s.")
-        self.substeps, self.sweeps, self.divergence_sweeps = substeps, sweeps, divergence_sweeps
+        self.searches, self.substeps = searches, substeps
+        self.sweeps, self.divergence_sweeps = sweeps, divergence_sweeps
         self.solver_step, self.relaxation = solver_step, relaxation
         self.warm_start, self.clearance = warm_start, clearance
         self._search = Auto(NEIGHBORS)
         self._compiled = CompiledStep()
 
-    def mean_weight(self, time_step: float) -> float:
-        """Return a, the weight of the new velocity in the displacement of a substep."""
-        steps = max(time_step / self.substeps / self.solver_step, 1.0)
+    def mean_weight(self, substep: float) -> float:
+        """Return a, the weight of the new velocity in the displacement of a substep (s)."""
+        steps = max(substep / self.solver_step, 1.0)
         return (steps + 1) / (2 * steps)
 
     def forward(self, particles: Particles) -> Guess:
+        state = particles
+        pressures = (particles.position.new_zeros(len(particles)),) * 2
+        advance = self._reference
+        if use_kernel(self, particles.position, particles.velocity, particles.solid_position):
+            advance = self._kernel
         with record_function("prior"):
-            if use_kernel(self, particles.position, particles.velocity, particles.solid_position):
-                return self._kernel(particles)
-            return self._reference(particles)
+            for _ in range(self.searches):
+                state, pressures = advance(state, pressures)
+        return Guess(state.position, state.velocity)
 
-    def _kernel(self, particles: Particles) -> Guess:
+    def _kernel(
+        self, particles: Particles, pressures: tuple[Tensor, Tensor]
+    ) -> tuple[Particles, tuple[Tensor, Tensor]]:
+        """Return the state and its pressures after the substeps of one search, by the kernel."""
         scene = particles.scene
-        box = _Box.of(particles, self.clearance)
         lower, upper = box_corners(particles, self.clearance)
+        substep = scene.time_step / (self.searches * self.substeps)
         numbers = Numbers(
             radius=scene.support_radius,
             volume=(2 * scene.particle_radius) ** 3,
-            substep=scene.time_step / self.substeps,
-            mean_weight=self.mean_weight(scene.time_step),
+            substep=substep,
+            mean_weight=self.mean_weight(substep),
             sweeps=self.sweeps,
             divergence_sweeps=self.divergence_sweeps,
             relaxation=self.relaxation,
             warm_start=self.warm_start,
         )
-        rows = Box(*map(as_array, (lower, upper, scene.gravity, scene.viscosity)))
+        box = Box(*map(as_array, (lower, upper, scene.gravity, scene.viscosity)))
         return self._compiled(
-            particles, box.inside(self._middle(particles)), rows, numbers, self.substeps
+            particles, self._middle(particles), pressures, box, numbers, self.substeps
         )
 
     def _middle(self, particles: Particles) -> Tensor:
-        return particles.position + particles.scene.time_step / 2 * particles.velocity
+        """Return the places (N, 3) in the middle of the substeps of one search, m."""
+        half = particles.scene.time_step / (2 * self.searches)
+        box = _Box.of(particles, self.clearance)
+        return box.inside(particles.position + half * particles.velocity)
 
-    def _reference(self, particles: Particles) -> Guess:
+    def _reference(
+        self, particles: Particles, pressures: tuple[Tensor, Tensor]
+    ) -> tuple[Particles, tuple[Tensor, Tensor]]:
+        """Return the state and its pressures after the substeps of one search, in torch."""
         scene = particles.scene
         box = _Box.of(particles, self.clearance)
-        searched = particles.moved(box.inside(self._middle(particles)), particles.velocity)
-        edges = self._search(searched)
-        geometry = _Geometry.of(searched, edges)
-        step = scene.time_step / self.substeps
-        weight = self.mean_weight(scene.time_step)
+        searched = particles.moved(self._middle(particles), particles.velocity)
+        geometry = _Geometry.of(searched, self._search(searched))
+        step = scene.time_step / (self.searches * self.substeps)
+        weight = self.mean_weight(step)
         gravity = particles.per_particle(scene.gravity)
         viscosity = 10 * step * particles.per_particle(scene.viscosity[:, None])
         position, velocity = particles.position, particles.velocity
-        divergence_pressure = pressure = position.new_zeros(len(position))
+        upkeep, pressure = pressures
         for _ in range(self.substeps):
             before = velocity
             at = geometry.at(box.inside(position + step / 2 * velocity))
-            divergence_pressure = self.warm_start * divergence_pressure
-            pressure = self.warm_start * pressure
-            velocity = velocity + viscosity * at.viscous(velocity)
-            velocity = velocity - at.push(divergence_pressure)
+            upkeep, pressure = self.warm_start * upkeep, self.warm_start * pressure
+            velocity = velocity + viscosity * at.viscous(velocity) - at.push(upkeep)
             for _ in range(self.divergence_sweeps):
-                raised = self._raised(at, divergence_pressure, at.divergence(velocity))
-                velocity = velocity - at.push(raised - divergence_pressure)
-                divergence_pressure = raised
+                raised = self._raised(at, upkeep, at.divergence(velocity))
+                velocity = velocity - at.push(raised - upkeep)
+                upkeep = raised
             velocity = velocity + step * gravity - at.push(pressure)
             for _ in range(self.sweeps):
                 rate = at.divergence(velocity) + (at.density - 1) / step
@@ -149,7 +167,7 @@ class PressureStep(Prior):
                 pressure = raised
             position = position + step * ((1 - weight) * before + weight * velocity)
             position, velocity = box.stop(position, velocity)
-        return Guess(position, velocity)
+        return particles.moved(position, velocity), (upkeep, pressure)
 
     def _raised(self, at: _Gradients, pressure: Tensor, rate: Tensor) -> Tensor:
         return (pressure + self.relaxation * at.stiffness * rate).clamp_min(0)
