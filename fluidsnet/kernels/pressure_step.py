@@ -180,14 +180,14 @@ def _take_gradients(
         for i in range(chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK)):
             x, y, z = place[i, 0], place[i, 1], place[i, 2]
             a = b = c = squares = np.float32(0.0)
-            filled = _spline(np.float32(0.0))
+            filled = spline(np.float32(0.0))
             for e in range(offset[i], offset[i + 1]):
                 j = neighbor[e]
                 dx, dy, dz = x - place[j, 0], y - place[j, 1], z - place[j, 2]
                 distance = np.float32(math.sqrt(dx * dx + dy * dy + dz * dz)) + least
                 q = distance * inverse
-                filled += _spline(q)
-                factor = scale * _slope(q) / distance
+                filled += spline(q)
+                factor = scale * slope(q) / distance
                 gx, gy, gz = factor * dx, factor * dy, factor * dz
                 gradient[0, e], gradient[1, e], gradient[2, e] = gx, gy, gz
                 a += gx
@@ -201,8 +201,8 @@ def _take_gradients(
                 distance = np.float32(math.sqrt(dx * dx + dy * dy + dz * dz)) + least
                 q = distance * inverse
                 weight = wall_volume[j] * height
-                around += weight * _spline(q)
-                factor = weight * inverse * _slope(q) / distance
+                around += weight * spline(q)
+                factor = weight * inverse * slope(q) / distance
                 a += factor * dx
                 b += factor * dy
                 c += factor * dz
@@ -315,7 +315,7 @@ def _move(
 def solid_volumes(place: Any, lists: NearLists, radius: float, volume: Any) -> None:
     """Write the volumes (M,) of solids, m³, 1 / Σ W over the solids around (Akinci et al. 2012)."""
     for i in prange(len(volume)):
-        total = _spline(np.float32(0.0))
+        total = spline(np.float32(0.0))
         for e in range(lists.offset[i], lists.offset[i + 1]):
             j = lists.neighbor[e]
             x, y, z = (
@@ -323,20 +323,20 @@ def solid_volumes(place: Any, lists: NearLists, radius: float, volume: Any) -> N
                 place[1, i] - place[1, j],
                 place[2, i] - place[2, j],
             )
-            total += _spline(np.float32(math.sqrt(x * x + y * y + z * z) / radius))
+            total += spline(np.float32(math.sqrt(x * x + y * y + z * z) / radius))
         volume[i] = np.float32(math.pi * radius**3 / 8) / total
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
-def _spline(q: Any) -> Any:
+def spline(q: Any) -> Any:
     """Return the cubic spline kernel, 1 at q = 0."""
     far, near = max(np.float32(1.0) - q, np.float32(0.0)), max(np.float32(0.5) - q, np.float32(0.0))
     return np.float32(2.0) * far * far * far - np.float32(8.0) * near * near * near
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
-def _slope(q: Any) -> Any:
-    """Return the derivative of `_spline`."""
+def slope(q: Any) -> Any:
+    """Return the derivative of `spline`."""
     far, near = max(np.float32(1.0) - q, np.float32(0.0)), max(np.float32(0.5) - q, np.float32(0.0))
     return np.float32(24.0) * near * near - np.float32(6.0) * far * far
 

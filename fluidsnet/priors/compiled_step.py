@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import final
 
 import numpy as np
@@ -13,9 +14,13 @@ from fluidsnet.cache import TensorCache
 from fluidsnet.kernels.cell_table import CellTable, CellTables
 from fluidsnet.kernels.columns import as_array
 from fluidsnet.kernels.near_lists import near_lists
+from fluidsnet.kernels.near_rows import in_rows
 from fluidsnet.kernels.pressure_step import Box, Numbers, State, Walls, pressure_step, solid_volumes
+from fluidsnet.kernels.prior_columns import density_and_walls
 from fluidsnet.kernels.threads import set_threads
+from fluidsnet.neighbors.search import Neighbors
 from fluidsnet.particles import Particles
+from fluidsnet.priors.outcome import Outcome
 
 
 @final
@@ -34,8 +39,8 @@ class CompiledStep:
         box: Box,
         numbers: Numbers,
         substeps: int,
-    ) -> tuple[Particles, tuple[Tensor, Tensor]]:
-        """Return the state some substeps later, and its pressures.
+    ) -> Outcome:
+        """Return the state some substeps later.
 
         Args:
             particles: N fluid particles and the solid ones, float32 on the CPU.
@@ -53,8 +58,24 @@ class CompiledStep:
         place, velocity, upkeep, pressure = (as_array(it)[fluid.row] for it in values)
         state = _state(upkeep, pressure)
         pressure_step(place, velocity, fluid.frame, lists, walls, box, numbers, substeps, state)
-        rows = [_in_rows(it, fluid.row) for it in (place, velocity, upkeep, pressure)]
-        return particles.moved(rows[0], rows[1]), (rows[2], rows[3])
+        rows = partial(_in_rows, row=fluid.row)
+
+        def describe() -> tuple[Neighbors, Tensor]:
+            neighbor, offset = in_rows(fluid.row, lists.offset, lists.neighbor)
+            described = np.empty((len(place), 14), np.float32)
+            density_and_walls(place, *lists, *walls, numbers.radius, numbers.volume, described)
+            particle = np.repeat(np.arange(len(place)), np.diff(offset))
+            edges = Neighbors(*map(torch.from_numpy, (particle, neighbor, offset)))
+            return edges, rows(described)
+
+        return Outcome(
+            state=particles.moved(rows(place), rows(velocity)),
+            pressures=(rows(upkeep), rows(pressure)),
+            rates=(rows(state.divergence), rows(state.left)),
+            density=rows(state.density),
+            surface=rows(state.surface),
+            describe=describe,
+        )
 
     def _solid_volumes(self, particles: Particles, solids: CellTable) -> NDArray[np.float32]:
         radius = particles.scene.support_radius

@@ -14,10 +14,13 @@ from fluidsnet.errors import UserError
 from fluidsnet.kernels import use_kernel
 from fluidsnet.kernels.columns import as_array
 from fluidsnet.kernels.pressure_step import REGULARIZATION, Box, Numbers
+from fluidsnet.moments import moment_weights
 from fluidsnet.neighbors.auto import Auto
 from fluidsnet.neighbors.search import Neighbors
 from fluidsnet.particles import Particles
+from fluidsnet.priors.columns import join_columns
 from fluidsnet.priors.compiled_step import CompiledStep
+from fluidsnet.priors.outcome import Outcome
 from fluidsnet.priors.prior import Guess, Prior
 from fluidsnet.sph import NEIGHBORS, cubic_spline, solid_volumes, spline_slope
 
@@ -60,6 +63,8 @@ class PressureStep(Prior):
         UserError: An argument is out of range.
     """
 
+    describes = True
+
     def __init__(
         self,
         searches: int = 2,
@@ -97,21 +102,32 @@ class PressureStep(Prior):
         steps = max(substep / self.solver_step, 1.0)
         return (steps + 1) / (2 * steps)
 
-    def forward(self, particles: Particles) -> Guess:
-        state = particles
-        pressures = (particles.position.new_zeros(len(particles)),) * 2
+    def forward(self, particles: Particles, described: bool = False) -> Guess:
         advance = self._reference
         if use_kernel(self, particles.position, particles.velocity, particles.solid_position):
             advance = self._kernel
+        zero = particles.position.new_zeros(len(particles))
         with record_function("prior"):
-            for _ in range(self.searches):
-                state, pressures = advance(state, pressures)
-        return Guess(state.position, state.velocity)
+            outcome = first = advance(particles, (zero, zero))
+            for _ in range(self.searches - 1):
+                outcome = advance(outcome.state, outcome.pressures)
+            position, velocity = outcome.state.position, outcome.state.velocity
+            if not described:
+                return Guess(position, velocity)
+            neighbors, description = outcome.describe()
+            columns = join_columns(
+                description,
+                outcome.density,
+                outcome.surface,
+                (first.rates[0], outcome.rates[1]),
+                outcome.pressures,
+                particles.scene.time_step,
+                particles.scene.support_radius,
+            )
+        return Guess(position, velocity, neighbors, columns)
 
-    def _kernel(
-        self, particles: Particles, pressures: tuple[Tensor, Tensor]
-    ) -> tuple[Particles, tuple[Tensor, Tensor]]:
-        """Return the state and its pressures after the substeps of one search, by the kernel."""
+    def _kernel(self, particles: Particles, pressures: tuple[Tensor, Tensor]) -> Outcome:
+        """Return the outcome of the substeps of one search, by the kernel."""
         scene = particles.scene
         lower, upper = box_corners(particles, self.clearance)
         substep = scene.time_step / (self.searches * self.substeps)
@@ -136,10 +152,8 @@ class PressureStep(Prior):
         box = _Box.of(particles, self.clearance)
         return box.inside(particles.position + half * particles.velocity)
 
-    def _reference(
-        self, particles: Particles, pressures: tuple[Tensor, Tensor]
-    ) -> tuple[Particles, tuple[Tensor, Tensor]]:
-        """Return the state and its pressures after the substeps of one search, in torch."""
+    def _reference(self, particles: Particles, pressures: tuple[Tensor, Tensor]) -> Outcome:
+        """Return the outcome of the substeps of one search, in torch."""
         scene = particles.scene
         box = _Box.of(particles, self.clearance)
         searched = particles.moved(self._middle(particles), particles.velocity)
@@ -150,9 +164,11 @@ class PressureStep(Prior):
         viscosity = 10 * step * particles.per_particle(scene.viscosity[:, None])
         position, velocity = particles.position, particles.velocity
         upkeep, pressure = pressures
+        divergence = None
         for _ in range(self.substeps):
             before = velocity
             at = geometry.at(box.inside(position + step / 2 * velocity))
+            divergence = at.divergence(velocity) if divergence is None else divergence
             upkeep, pressure = self.warm_start * upkeep, self.warm_start * pressure
             velocity = velocity + viscosity * at.viscous(velocity) - at.push(upkeep)
             for _ in range(self.divergence_sweeps):
@@ -167,7 +183,15 @@ class PressureStep(Prior):
                 pressure = raised
             position = position + step * ((1 - weight) * before + weight * velocity)
             position, velocity = box.stop(position, velocity)
-        return particles.moved(position, velocity), (upkeep, pressure)
+        assert divergence is not None
+        return Outcome(
+            state=particles.moved(position, velocity),
+            pressures=(upkeep, pressure),
+            rates=(divergence, at.divergence(velocity)),
+            density=at.density,
+            surface=geometry.sum(at.gradient),
+            describe=lambda: (geometry.wet_edges(), geometry.describe(position)),
+        )
 
     def _raised(self, at: _Gradients, pressure: Tensor, rate: Tensor) -> Tensor:
         return (pressure + self.relaxation * at.stiffness * rate).clamp_min(0)
@@ -261,6 +285,24 @@ class _Geometry:
         diagonal = self.sum(gradient).square().sum(dim=1) + self.sum(squares)
         stiffness = 1 / (diagonal + REGULARIZATION / self.radius**2)
         return _Gradients(self, offset, gradient, density, stiffness)
+
+    def wet_edges(self) -> Neighbors:
+        """Return the edges between fluid particles."""
+        return Neighbors.from_edges(self.particle[self.wet], self.neighbor[self.wet], self.count)
+
+    def describe(self, position: Tensor) -> Tensor:
+        """Return density, its gradient and the moments of the walls at positions, (N, 14)."""
+        at = self.at(position)
+        share = self.volume / self.own_volume * ~self.wet
+        moments = [self.sum(share * weight) for weight in moment_weights(-at.offset / self.radius)]
+        return torch.cat(
+            [
+                at.density[:, None],
+                self.radius * self.sum(at.gradient),
+                torch.stack(moments, dim=1),
+            ],
+            dim=1,
+        )
 
     def sum(self, values: Tensor) -> Tensor:
         """Return the sum over the edges (E, ...) of each particle, (N, ...)."""

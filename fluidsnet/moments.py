@@ -46,13 +46,13 @@ def neighbor_moments(
     received = features.index_select(0, neighbor)
     sums = [
         segment_csr(weight[:, None].to(received.dtype) * received, offset, reduce="sum")
-        for weight in _basis(offsets)
+        for weight in moment_weights(offsets)
     ]
     return torch.cat(sums, dim=1)
 
 
-def _basis(offset: Tensor) -> list[Tensor]:
-    """Return the ten weights (E,) of offsets (E, 3) in support radii."""
+def moment_weights(offset: Tensor) -> list[Tensor]:
+    """Return the ten weights (E,) of `neighbor_moments` at offsets (E, 3) in support radii."""
     x, y, z = offset.unbind(dim=1)
     weight = 0.3 * (1 - offset.square().sum(dim=1)).clamp_min(0) ** 3
     first = [2 * weight * it for it in (x, y, z)]
