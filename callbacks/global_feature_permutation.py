@@ -116,9 +116,9 @@ def _derangement(frames: int) -> list[int]:
     return others.tolist()
 
 
-def _frame_vectors(network: Network, state: Particles) -> Tensor:
+def _frame_vectors(model: Model, state: Particles) -> Tensor:
     """Return the global feature of each frame, (F, width), taken from its first particle."""
-    particle_vectors = network.global_feature(state, network.features(state))
+    particle_vectors = network.global_feature(state, network.features(state, model.guess(state)))
     counts = torch.bincount(state.frame, minlength=state.frames)
     # A frame without particles gets a vector that is not used.
     first = (counts.cumsum(0) - counts).clamp_max(len(state) - 1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -125,6 +125,16 @@ class SPHDataModule(LightningDataModule):
     def statistics(self) -> Statistics:
         """Normalization statistics of the training split."""
         return statistics(self._dataset("train", steps=1))
+
+    def calibration_samples(self, count: int = 64) -> Iterator[Transitions]:
+        """Yield samples of one step, evenly spread over the training split, without augmentation.
+
+        Args:
+            count: Greatest number of samples.
+        """
+        dataset = self._dataset("train", steps=1)
+        every = -(-len(dataset) // count)
+        return (dataset[index] for index in range(0, len(dataset), every))
 
     def identity(self, split: str) -> dict[str, Any]:
         """Return plain JSON values that identify the data of a split (`train`, `val`, `test`).

@@ -23,9 +23,10 @@ from fluidsnet.neighbors import Auto, NeighborSearch
 from fluidsnet.network import GlobalFeatureFactory, Network
 from fluidsnet.noise import StartNoise
 from fluidsnet.particles import Particles, Transitions
+from fluidsnet.priors import FreeFall, Guess, Prior
 from fluidsnet.rng import preserve_rng_state
 from fluidsnet.scene import Scene
-from fluidsnet.statistics import Statistics
+from fluidsnet.statistics import Residuals, Statistics
 from fluidsnet.target import Target, VelocityTarget
 from fluidsnet.walls import OpenWalls, Walls
 
@@ -38,6 +39,7 @@ class Model(nn.Module):
 
     Args:
         grid_shape: Number of cells of the background grid along x, y and z.
+        prior: Step that the network corrects; `FreeFall` by default.
         neighbors: Neighbor search; `Auto` by default.
         inputs: Input feature (paper, section 4.2); `ParticleState` by default.
         local: Local feature (section 4.3); `NeighborMean` by default.
@@ -50,7 +52,8 @@ class Model(nn.Module):
         noise: Noise on the states that are trained on; none by default.
 
     Raises:
-        UserError: The integrator needs a displacement and the target gives none.
+        UserError: The integrator needs a displacement and the target gives none, or a block needs
+            neighbors and columns of a prior that has none.
     """
 
     time_step: Tensor
@@ -58,6 +61,7 @@ class Model(nn.Module):
     def __init__(
         self,
         grid_shape: GridShape,
+        prior: Prior | None = None,
         neighbors: NeighborSearch | None = None,
         inputs: InputFeature | None = None,
         local: LocalFeature | None = None,
@@ -80,6 +84,7 @@ class Model(nn.Module):
             target=target or VelocityTarget(),
             head=head,
         )
+        self.prior = prior or FreeFall()
         self.integrator = integrator or Euler()
         self.walls = walls or OpenWalls()
         self.noise = noise
@@ -91,6 +96,12 @@ class Model(nn.Module):
                 f"a displacement, and {type(self.network.target).__name__} does not; use "
                 "DisplacementTarget, or the integrator Euler or Trapezoid."
             )
+        if self.network.reads_description and not self.prior.describes:
+            raise UserError(
+                f"The inputs {type(self.network.inputs).__name__} and local feature "
+                f"{type(self.network.local).__name__} need a prior that knows neighbors and "
+                f"pressure, and {type(self.prior).__name__} does not; set prior to PressureStep."
+            )
 
     def set_statistics(self, statistics: Statistics, time_step: float) -> None:
         """Set the normalization and the time step (s) from the training split."""
@@ -99,6 +110,21 @@ class Model(nn.Module):
             self.noise.set_statistics(statistics)
         self.time_step.fill_(time_step)
 
+    def set_residuals(self, residuals: Residuals) -> None:
+        """Set the normalization by what the prior leaves in the training split."""
+        self.network.set_residuals(residuals)
+        if self.noise is not None:
+            self.noise.set_residuals(residuals)
+
+    @property
+    def is_trained(self) -> bool:
+        """Return whether the model can be used: it was trained, or has no weights to train."""
+        return bool(self.time_step != 0) or self.network.target.width == 0
+
+    def guess(self, particles: Particles) -> Guess:
+        """Return the prior's step, described as far as the network needs it."""
+        return self.prior.guess(particles, self.network.reads_description)
+
     def step(self, particles: Particles, global_feature: Tensor | None = None) -> Particles:
         """Return the predicted state one time step later.
 
@@ -106,7 +132,8 @@ class Model(nn.Module):
             particles: N fluid particles and the solid ones.
             global_feature: (N, width) that replaces the state's own global feature.
         """
-        return self.advance(particles, self.network(particles, global_feature))
+        guess = self.guess(particles)
+        return self.advance(particles, guess, self.network(particles, guess, global_feature))
 
     def forward(self, particles: Particles) -> Particles:
         """Return the predicted state one time step later, as `step`."""
@@ -135,14 +162,15 @@ class Model(nn.Module):
                 f"stepped by {time_step:g} s; set data.stride so that the two agree."
             )
 
-    def advance(self, particles: Particles, output: Tensor) -> Particles:
+    def advance(self, particles: Particles, guess: Guess, output: Tensor) -> Particles:
         """Return the next state for a network output: decode, integrate, apply the walls.
 
         Args:
             particles: State that the output was computed from.
+            guess: The prior's step from it.
             output: (N, target.width).
         """
-        motion = self.network.target.decode(output, particles)
+        motion = self.network.target.decode(output, particles, guess)
         return self.walls(self.integrator(particles, motion))
 
     def loss(self, batch: Transitions) -> Tensor:
@@ -150,11 +178,12 @@ class Model(nn.Module):
         state = batch.state if self.noise is None else self.noise(batch.state)
         losses = []
         for position, velocity in zip(batch.next_position, batch.next_velocity, strict=True):
-            output = self.network(state)
-            expected = self.network.target.encode(state, position, velocity)
+            guess = self.guess(state)
+            output = self.network(state, guess)
+            expected = self.network.target.encode(state, guess, position, velocity)
             losses.append(mean_square(output, expected))
             if len(losses) < len(batch.next_position):
-                state = self.advance(state, output)
+                state = self.advance(state, guess, output)
         return torch.stack(losses).mean()
 
     def blocks(self) -> dict[str, Any]:

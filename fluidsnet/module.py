@@ -17,6 +17,7 @@ from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
 from fluidsnet.baselines import TRIVIAL_PREDICTORS
+from fluidsnet.calibration import measure_residuals
 from fluidsnet.checkpoint import check, describe
 from fluidsnet.checkpoint_migration import migrate
 from fluidsnet.errors import UserError
@@ -106,6 +107,8 @@ class FluidsNet(LightningModule):
             # A resumed checkpoint is loaded after this and overwrites these values.
             for model in self.named_models().values():
                 model.set_statistics(data.statistics, data.time_step)
+                if model.prior.describes:
+                    model.set_residuals(measure_residuals(model.prior, data.calibration_samples()))
             # All processes compute the same buffers. Broadcasting them at each call costs more
             # than the network and needs equally many validation batches in each process.
             DistributedDataParallel._set_params_and_buffers_to_ignore_for_model(  # type: ignore[no-untyped-call]
@@ -163,11 +166,12 @@ class FluidsNet(LightningModule):
         position, velocity = batch.next_position[0], batch.next_velocity[0]
         frames = batch.state.frames
         for name, model in self.named_models().items():
-            output = model.network(batch.state)
+            guess = model.guess(batch.state)
+            output = model.network(batch.state, guess)
             errors = cast(OneStepErrors, self.validation[name])
-            errors.add(model.advance(batch.state, output), batch)
+            errors.add(model.advance(batch.state, guess, output), batch)
             if name == "model":
-                expected = model.network.target.encode(batch.state, position, velocity)
+                expected = model.network.target.encode(batch.state, guess, position, velocity)
                 self.validation_loss.update(output, expected, batch.state, batch.simulation)
                 self.log("val/loss", self.validation_loss, batch_size=frames)
                 errors.log_from(self, f"validation.{name}", "val/{}", frames)
@@ -231,7 +235,7 @@ class FluidsNet(LightningModule):
             rank_zero_info(f"The checkpoint's twin {name!r} is left out; the model alone is used.")
 
     def _check_time_step(self) -> None:
-        if self.model.time_step == 0:
+        if not self.model.is_trained:
             raise UserError(
                 "This network has not been trained: name a checkpoint with --ckpt_path, "
                 "or a run's folder with --run."

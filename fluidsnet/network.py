@@ -19,7 +19,8 @@ from fluidsnet.features.voxel import GridShape
 from fluidsnet.neighbors.reach import within_reach
 from fluidsnet.neighbors.search import NeighborSearch
 from fluidsnet.particles import Particles
-from fluidsnet.statistics import Statistics
+from fluidsnet.priors.prior import Guess
+from fluidsnet.statistics import Residuals, Statistics
 from fluidsnet.target import Target
 
 #: Builds a global feature for a grid shape and a width of the particles' features.
@@ -54,8 +55,12 @@ class Network(nn.Module):
         head: Sequence[int] = (32, 16, 8),
     ) -> None:
         super().__init__()
-        for name in ("sent_width", "relative_width"):
-            expected, given = getattr(local, name), getattr(inputs, name)
+        for name, of_input in (
+            ("input_width", "width"),
+            ("sent_width", "sent_width"),
+            ("relative_width", "relative_width"),
+        ):
+            expected, given = getattr(local, name), getattr(inputs, of_input)
             if expected not in (None, given):
                 raise UserError(
                     f"{type(local).__name__} expects {name} {expected}, and the input feature "
@@ -70,12 +75,24 @@ class Network(nn.Module):
         self.target = target
         self.head = Perceptron((width + self.global_feature.width, *head, target.width))
 
+    @property
+    def reads_description(self) -> bool:
+        """Return whether a block needs neighbors and columns of the prior."""
+        return self.target.width > 0 and (self.local.at_guess or self.inputs.reads_description)
+
     def set_statistics(self, statistics: Statistics) -> None:
         """Set the normalization of inputs and target from the training split."""
         self.inputs.set_statistics(statistics)
         self.target.set_statistics(statistics)
 
-    def forward(self, particles: Particles, global_feature: Tensor | None = None) -> Tensor:
+    def set_residuals(self, residuals: Residuals) -> None:
+        """Set the normalization of inputs and target by what the prior leaves."""
+        self.inputs.set_residuals(residuals)
+        self.target.set_residuals(residuals)
+
+    def forward(
+        self, particles: Particles, guess: Guess, global_feature: Tensor | None = None
+    ) -> Tensor:
         """Return the head's output (N, target.width) for the fluid particles.
 
         Profiler ranges of the stages: `search` and `local`, or `sort` and `search + local` where
@@ -83,21 +100,35 @@ class Network(nn.Module):
 
         Args:
             particles: N fluid particles and the solid ones.
+            guess: State one step later by the prior.
             global_feature: (N, global_feature.width) that replaces the state's own.
         """
-        features = self.features(particles)
+        if self.target.width == 0:
+            return particles.position.new_empty(len(particles), 0)
+        features = self.features(particles, guess)
         if global_feature is None:
             global_feature = self.global_feature(particles, features)
         with record_function("head"):
             output: Tensor = self.head(features, global_feature)
         return output
 
-    def features(self, particles: Particles) -> Tensor:
+    def features(self, particles: Particles, guess: Guess) -> Tensor:
         """Return the input and local features of the fluid particles, (N, A)."""
-        local = fused_local(particles, self.neighbors, self.local, self.inputs)
-        if local is None:
-            with record_function("search"):
-                reached, neighbors = within_reach(particles, self.neighbors(particles))
+        columns = self.inputs(particles, guess)
+        return torch.cat([columns, self._local(particles, guess, columns)], dim=1)
+
+    def _local(self, particles: Particles, guess: Guess, columns: Tensor) -> Tensor:
+        """Return the local feature of the fluid particles."""
+        if self.local.at_guess and guess.neighbors is not None:
             with record_function("local"):
-                local = self.local(reached, neighbors, self.inputs)
-        return torch.cat([self.inputs(particles), local], dim=1)
+                moved = particles.moved(guess.position, guess.velocity)
+                at_guess: Tensor = self.local(moved, guess.neighbors, self.inputs, columns)
+            return at_guess
+        fused = fused_local(particles, self.neighbors, self.local, self.inputs)
+        if fused is not None:
+            return fused
+        with record_function("search"):
+            reached, neighbors = within_reach(particles, self.neighbors(particles))
+        with record_function("local"):
+            local: Tensor = self.local(reached, neighbors, self.inputs, columns)
+        return local

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from fluidsnet.particles import Particles
-from fluidsnet.statistics import Statistics
+from fluidsnet.statistics import Residuals, Statistics
 
 
 class StartNoise(nn.Module):
@@ -16,7 +16,7 @@ class StartNoise(nn.Module):
 
     Args:
         most: Maximum strength, in deviations of velocity change and drift over a step in the
-            training split.
+            training split; with a prior that knows pressure, in deviations of what it leaves.
     """
 
     change_deviation: Tensor
@@ -32,6 +32,11 @@ class StartNoise(nn.Module):
         """Set the scale of the noise from the training split."""
         self.change_deviation.copy_(statistics.change_deviation)
         self.drift_deviation.copy_(statistics.drift_deviation)
+
+    def set_residuals(self, residuals: Residuals) -> None:
+        """Set the scale of the noise by what the prior leaves."""
+        self.change_deviation.copy_(residuals.change_deviation)
+        self.drift_deviation.copy_(residuals.drift_deviation)
 
     def forward(self, particles: Particles) -> Particles:
         """Return the state with noise, whose strength is drawn for each frame."""

@@ -26,3 +26,20 @@ class Statistics:
     change_mean: Tensor
     change_deviation: Tensor
     drift_deviation: Tensor
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """What a prior leaves, over the fluid particles of frames of the training split.
+
+    Attributes:
+        change_deviation: () root mean square of v' - v̂, per component, m/s.
+        drift_deviation: () root mean square of x' - x̂, per component, support radii.
+        column_mean: (C,) mean of the prior's columns; empty without columns.
+        column_deviation: (C,) deviation of each about its mean.
+    """
+
+    change_deviation: Tensor
+    drift_deviation: Tensor
+    column_mean: Tensor
+    column_deviation: Tensor

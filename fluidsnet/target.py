@@ -10,7 +10,8 @@ import torch
 from torch import Tensor, nn
 
 from fluidsnet.particles import Particles
-from fluidsnet.statistics import Statistics
+from fluidsnet.priors.prior import Guess
+from fluidsnet.statistics import Residuals, Statistics
 
 
 @dataclass(frozen=True)
@@ -41,16 +42,28 @@ class Target(nn.Module, ABC):
     def set_statistics(self, statistics: Statistics) -> None:
         """Set the normalization from the training split."""
 
-    @abstractmethod
-    def decode(self, output: Tensor, particles: Particles) -> Motion:
-        """Return the motion of a network output (N, width)."""
+    def set_residuals(self, residuals: Residuals) -> None:
+        """Set the normalization by what the prior leaves; by default there is none."""
 
     @abstractmethod
-    def encode(self, particles: Particles, position: Tensor, velocity: Tensor) -> Tensor:
+    def decode(self, output: Tensor, particles: Particles, guess: Guess) -> Motion:
+        """Return the motion of a network output (N, width).
+
+        Args:
+            output: Output of the head.
+            particles: State.
+            guess: State one step later by the prior.
+        """
+
+    @abstractmethod
+    def encode(
+        self, particles: Particles, guess: Guess, position: Tensor, velocity: Tensor
+    ) -> Tensor:
         """Return the network output (N, width) of a known next state.
 
         Args:
             particles: State.
+            guess: State one step later by the prior.
             position: (N, 3) of the next state, m.
             velocity: (N, 3) of the next state, m/s.
         """
@@ -78,10 +91,12 @@ class VelocityTarget(_Standardized):
         self.mean.copy_(statistics.velocity_mean)
         self.deviation.copy_(statistics.velocity_deviation)
 
-    def decode(self, output: Tensor, particles: Particles) -> Motion:
+    def decode(self, output: Tensor, particles: Particles, guess: Guess) -> Motion:
         return Motion(self.mean + self.deviation * output)
 
-    def encode(self, particles: Particles, position: Tensor, velocity: Tensor) -> Tensor:
+    def encode(
+        self, particles: Particles, guess: Guess, position: Tensor, velocity: Tensor
+    ) -> Tensor:
         return (velocity - self.mean) / self.deviation
 
 
@@ -93,19 +108,21 @@ class AccelerationTarget(_Standardized):
         self.mean.copy_(statistics.change_mean)
         self.deviation.copy_(statistics.change_deviation)
 
-    def decode(self, output: Tensor, particles: Particles) -> Motion:
+    def decode(self, output: Tensor, particles: Particles, guess: Guess) -> Motion:
         return Motion(particles.velocity + self.mean + self.deviation * output)
 
-    def encode(self, particles: Particles, position: Tensor, velocity: Tensor) -> Tensor:
+    def encode(
+        self, particles: Particles, guess: Guess, position: Tensor, velocity: Tensor
+    ) -> Tensor:
         return (velocity - particles.velocity - self.mean) / self.deviation
 
 
 @final
 class DisplacementTarget(Target):
-    """Deviation of displacement and velocity from free fall over the step.
+    """Deviation of displacement and velocity from the prior's step.
 
-    x' = x + Δt·v + ½Δt²·g + d and v' = v + Δt·g + c; c and d are predicted in units of their
-    deviations in the training split.
+    x' = x̂ + d and v' = v̂ + c with x̂ and v̂ of the prior, by default free fall; c and d are
+    predicted in units of what the prior leaves in the training split.
     """
 
     width = 6
@@ -123,27 +140,42 @@ class DisplacementTarget(Target):
         self.change_deviation.copy_(statistics.change_deviation)
         self.drift_radii.copy_(statistics.drift_deviation)
 
-    def decode(self, output: Tensor, particles: Particles) -> Motion:
-        velocity, displacement = self._free_fall(particles)
+    def set_residuals(self, residuals: Residuals) -> None:
+        self.change_deviation.copy_(residuals.change_deviation)
+        self.drift_radii.copy_(residuals.drift_deviation)
+
+    def decode(self, output: Tensor, particles: Particles, guess: Guess) -> Motion:
+        drift = self._drift(particles) * output[:, 3:]
         return Motion(
-            velocity + self.change_deviation * output[:, :3],
-            displacement + self._drift(particles) * output[:, 3:],
+            guess.velocity + self.change_deviation * output[:, :3],
+            guess.position - particles.position + drift,
         )
 
-    def encode(self, particles: Particles, position: Tensor, velocity: Tensor) -> Tensor:
-        free_velocity, free_displacement = self._free_fall(particles)
-        change = (velocity - free_velocity) / self.change_deviation
-        drift = (position - particles.position - free_displacement) / self._drift(particles)
-        return torch.cat([change, drift], dim=1)
+    def encode(
+        self, particles: Particles, guess: Guess, position: Tensor, velocity: Tensor
+    ) -> Tensor:
+        change = (velocity - guess.velocity) / self.change_deviation
+        return torch.cat([change, (position - guess.position) / self._drift(particles)], dim=1)
 
     def _drift(self, particles: Particles) -> Tensor:
         """Return the deviation of d in m, ()."""
         return self.drift_radii * particles.scene.support_radius
 
-    def _free_fall(self, particles: Particles) -> tuple[Tensor, Tensor]:
-        step = particles.scene.time_step
-        gravity = particles.per_particle(particles.scene.gravity)
-        return (
-            particles.velocity + step * gravity,
-            step * particles.velocity + step**2 / 2 * gravity,
-        )
+
+@final
+class PriorAlone(Target):
+    """No correction: the prior's step is the model's, which has no weights."""
+
+    width = 0
+    gives_displacement = True
+
+    def set_statistics(self, statistics: Statistics) -> None:
+        pass
+
+    def decode(self, output: Tensor, particles: Particles, guess: Guess) -> Motion:
+        return Motion(guess.velocity, guess.position - particles.position)
+
+    def encode(
+        self, particles: Particles, guess: Guess, position: Tensor, velocity: Tensor
+    ) -> Tensor:
+        return position.new_empty(len(position), 0)

@@ -3,6 +3,9 @@
 import warnings
 from typing import Any
 
+from fluidsnet.features.continuous_convolutions import (
+    ContinuousConvolutions as ContinuousConvolutions,
+)
 from fluidsnet.features.global_feature import GlobalFeature as GlobalFeature
 from fluidsnet.features.global_feature import GlobalVector as GlobalVector
 from fluidsnet.features.global_feature import NoGlobalFeature as NoGlobalFeature
@@ -11,6 +14,7 @@ from fluidsnet.features.input import ParticleState as ParticleState
 from fluidsnet.features.kernel_messages import KernelMessages as KernelMessages
 from fluidsnet.features.local import LocalFeature as LocalFeature
 from fluidsnet.features.local import NeighborMean as NeighborMean
+from fluidsnet.features.prior_state import PriorState as PriorState
 from fluidsnet.features.voxel import VoxelFeature as VoxelFeature
 from fluidsnet.features.voxel_field import VoxelField as VoxelField
 

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from fluidsnet.particles import Particles
-from fluidsnet.statistics import Statistics
+from fluidsnet.priors.prior import Guess
+from fluidsnet.statistics import Residuals, Statistics
 
 #: Marker s/f of fluid and solid particles.
 FLUID, SOLID = 0.0, 1.0
@@ -23,19 +24,29 @@ class InputFeature(nn.Module, ABC):
         sent_width: Number of columns of `sent`.
         relative_width: Number of leading columns of `sent` that a receiver may subtract its
             own from, such as the velocity.
+        reads_description: The guess must have columns, see `Prior.describes`.
     """
 
     width: int
     sent_width: int
     relative_width: int
+    reads_description: bool = False
 
     @abstractmethod
     def set_statistics(self, statistics: Statistics) -> None:
         """Set the normalization from the training split."""
 
+    def set_residuals(self, residuals: Residuals) -> None:
+        """Set the normalization by what the prior leaves; by default there is none."""
+
     @abstractmethod
-    def forward(self, particles: Particles) -> Tensor:
-        """Return the input feature (N, width) of the fluid particles."""
+    def forward(self, particles: Particles, guess: Guess) -> Tensor:
+        """Return the input feature (N, width) of the fluid particles.
+
+        Args:
+            particles: State.
+            guess: State one step later by the prior.
+        """
 
     @abstractmethod
     def sent(self, particles: Particles) -> Tensor:
@@ -67,7 +78,7 @@ class ParticleState(InputFeature):
     def set_statistics(self, statistics: Statistics) -> None:
         self.velocity_deviation.copy_(statistics.velocity_deviation)
 
-    def forward(self, particles: Particles) -> Tensor:
+    def forward(self, particles: Particles, guess: Guess) -> Tensor:
         scene = particles.scene
         lower, extent = map(particles.per_particle, (scene.domain_lower, scene.extent))
         position = 2 * (particles.position - lower) / extent - 1

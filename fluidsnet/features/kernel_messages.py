@@ -58,7 +58,9 @@ class KernelMessages(LocalFeature):
             nn.Linear(width * (2 if index else 1), width) for index in range(rounds)
         )
 
-    def forward(self, particles: Particles, neighbors: Neighbors, inputs: InputFeature) -> Tensor:
+    def forward(
+        self, particles: Particles, neighbors: Neighbors, inputs: InputFeature, columns: Tensor
+    ) -> Tensor:
         offset = edge_offsets(particles, neighbors)
         weight = (1 - offset.square().sum(dim=1, keepdim=True)).clamp_min(0) ** 3
         states = inputs.sent(particles)

@@ -23,22 +23,28 @@ class LocalFeature(nn.Module, ABC):
 
     Attributes:
         width: Number of columns of the feature.
-        sent_width, relative_width: Numbers of columns that it expects of the input feature,
-            see `InputFeature`; None where it takes any.
+        input_width, sent_width, relative_width: Numbers of columns that it expects of the input
+            feature, see `InputFeature` (its `width` is `input_width`); None where it takes any.
+        at_guess: It takes the particles where the prior puts them, and the prior's neighbors.
     """
 
     width: int
+    input_width: int | None = None
     sent_width: int | None = None
     relative_width: int | None = None
+    at_guess: bool = False
 
     @abstractmethod
-    def forward(self, particles: Particles, neighbors: Neighbors, inputs: InputFeature) -> Tensor:
+    def forward(
+        self, particles: Particles, neighbors: Neighbors, inputs: InputFeature, columns: Tensor
+    ) -> Tensor:
         """Return the local feature (N, width) of the fluid particles.
 
         Args:
             particles: N fluid particles and M solid ones.
             neighbors: E edges of the fluid particles.
             inputs: Input feature, which gives what neighbors send.
+            columns: (N, A) input feature of the fluid particles.
         """
 
 
@@ -69,7 +75,9 @@ class NeighborMean(LocalFeature):
             nn.Tanh(),
         )
 
-    def forward(self, particles: Particles, neighbors: Neighbors, inputs: InputFeature) -> Tensor:
+    def forward(
+        self, particles: Particles, neighbors: Neighbors, inputs: InputFeature, columns: Tensor
+    ) -> Tensor:
         sent, radius = inputs.sent(particles), particles.scene.support_radius
         read = (particles.position, particles.solid_position, sent)
         if radius > 0 and use_kernel(self, *read, differentiable=True):
