@@ -10,7 +10,7 @@ from lightning.pytorch.utilities import rank_zero_info
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-from fluidsnet.network import Network
+from fluidsnet.model import Model
 from fluidsnet.one_step import OneStepErrors
 from fluidsnet.particles import Particles, Transitions
 from fluidsnet.reporting.requirements import require_fluidsnet
@@ -78,7 +78,7 @@ class GlobalFeaturePermutation(Callback):
         others = [dataset[self._others[row]] for row in self._rows[batch_idx]]
         foreign = self._loader.collate_fn(others).state.to(pl_module.device)
         for name, source in (("own", batch.state), ("foreign", foreign)):
-            vectors = _frame_vectors(model.network, source)
+            vectors = _frame_vectors(model, source)
             self._errors[name].add(model.step(batch.state, vectors[batch.state.frame]), batch)
 
     def on_test_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
@@ -118,7 +118,8 @@ def _derangement(frames: int) -> list[int]:
 
 def _frame_vectors(model: Model, state: Particles) -> Tensor:
     """Return the global feature of each frame, (F, width), taken from its first particle."""
-    particle_vectors = network.global_feature(state, network.features(state, model.guess(state)))
+    features = model.network.features(state, model.guess(state))
+    particle_vectors = model.network.global_feature(state, features)
     counts = torch.bincount(state.frame, minlength=state.frames)
     # A frame without particles gets a vector that is not used.
     first = (counts.cumsum(0) - counts).clamp_max(len(state) - 1)

@@ -39,7 +39,6 @@ class Model(nn.Module):
 
     Args:
         grid_shape: Number of cells of the background grid along x, y and z.
-        prior: Step that the network corrects; `FreeFall` by default.
         neighbors: Neighbor search; `Auto` by default.
         inputs: Input feature (paper, section 4.2); `ParticleState` by default.
         local: Local feature (section 4.3); `NeighborMean` by default.
@@ -50,6 +49,7 @@ class Model(nn.Module):
         walls: Condition at the border of the domain; `OpenWalls` by default.
         head: Widths of the head's hidden layers (Table 1: 32, 16, 8).
         noise: Noise on the states that are trained on; none by default.
+        prior: Step that the network corrects; `FreeFall` by default.
 
     Raises:
         UserError: The integrator needs a displacement and the target gives none, or a block needs
@@ -61,7 +61,6 @@ class Model(nn.Module):
     def __init__(
         self,
         grid_shape: GridShape,
-        prior: Prior | None = None,
         neighbors: NeighborSearch | None = None,
         inputs: InputFeature | None = None,
         local: LocalFeature | None = None,
@@ -71,6 +70,7 @@ class Model(nn.Module):
         walls: Walls | None = None,
         head: Sequence[int] = (32, 16, 8),
         noise: StartNoise | None = None,
+        prior: Prior | None = None,
     ) -> None:
         super().__init__()
         # Blocks that the network builds; a twin builds its own from the same recipe.

@@ -76,13 +76,16 @@ def test_the_loss_over_steps_is_that_of_each_step(sample: Path) -> None:
     model.log = lambda *_, **__: None  # type: ignore[method-assign]
     batch = next(iter(source.train_dataloader()))
     found = model.training_step(batch, 0)
-    first = model.model.network(batch.state)
-    wanted = model.model.network.target.encode(
-        batch.state, batch.next_position[0], batch.next_velocity[0]
+    network, guess = model.model.network, model.model.guess
+    first = network(batch.state, guess(batch.state))
+    wanted = network.target.encode(
+        batch.state, guess(batch.state), batch.next_position[0], batch.next_velocity[0]
     )
     state = model(batch.state)
-    second = model.model.network(state)
-    then = model.model.network.target.encode(state, batch.next_position[1], batch.next_velocity[1])
+    second = network(state, guess(state))
+    then = network.target.encode(
+        state, guess(state), batch.next_position[1], batch.next_velocity[1]
+    )
     expected = ((first - wanted).square().mean() + (second - then).square().mean()) / 2
     assert torch.allclose(found, expected, rtol=1e-5)
 

@@ -10,6 +10,7 @@ import torch
 from fluidsnet.baselines import ballistic, constant_velocity
 from fluidsnet.integrator import Displacement, Euler, Integrator, Trapezoid
 from fluidsnet.particles import Particles
+from fluidsnet.priors import FreeFall
 from fluidsnet.statistics import Statistics
 from fluidsnet.target import (
     AccelerationTarget,
@@ -36,8 +37,9 @@ def test_decoding_what_was_encoded_gives_the_truth(
     state, later = make_particles((50, 0)), make_particles((50, 0), seed=1)
     made = target().to(state.position.device)
     made.set_statistics(statistics(state.position.device))
-    output = made.encode(state, later.position, later.velocity)
-    motion = made.decode(output, state)
+    guess = FreeFall()(state)
+    output = made.encode(state, guess, later.position, later.velocity)
+    motion = made.decode(output, state, guess)
     assert output.shape == (50, made.width)
     assert torch.allclose(motion.velocity, later.velocity, atol=1e-5)
     assert made.gives_displacement == (motion.displacement is not None)
@@ -49,7 +51,8 @@ def test_decoding_what_was_encoded_gives_the_truth(
 def test_a_displacement_target_that_says_nothing_is_free_fall(make_particles: Make) -> None:
     state = make_particles((50, 0))
     target = DisplacementTarget().to(state.position.device)
-    motion = target.decode(torch.zeros(50, 6, device=state.position.device), state)
+    nothing = torch.zeros(50, 6, device=state.position.device)
+    motion = target.decode(nothing, state, FreeFall()(state))
     expected = ballistic(state)
     assert torch.allclose(Displacement()(state, motion).position, expected.position, atol=1e-6)
     assert torch.allclose(motion.velocity, expected.velocity, atol=1e-6)

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 import torch
+from outputs import output_of
 from torch.overrides import TorchFunctionMode
 
 from fluidsnet.features import (
@@ -74,7 +75,9 @@ def test_permuted_particles_permute_the_output(network: Network, make_particles:
         particles, position=particles.position[order], velocity=particles.velocity[order]
     )
     network.eval()
-    assert torch.allclose(network(permuted), network(particles)[order], atol=1e-5)
+    assert torch.allclose(
+        output_of(network, permuted), output_of(network, particles)[order], atol=1e-5
+    )
 
 
 def test_a_scene_moved_with_its_domain_gives_the_same(
@@ -89,7 +92,9 @@ def test_a_scene_moved_with_its_domain_gives_the_same(
     )
     by = torch.tensor([4.0, -2.0, 8.0], device=particles.position.device)
     network.eval()
-    assert torch.allclose(network(shifted(particles, by)), network(particles), atol=1e-5)
+    assert torch.allclose(
+        output_of(network, shifted(particles, by)), output_of(network, particles), atol=1e-5
+    )
 
 
 def test_a_scaled_scene_looks_alike(network: Network, make_particles: Make) -> None:
@@ -109,14 +114,14 @@ def test_a_scaled_scene_looks_alike(network: Network, make_particles: Make) -> N
         ),
     )
     network.eval()
-    assert torch.allclose(network(larger), network(particles), atol=1e-5)
+    assert torch.allclose(output_of(network, larger), output_of(network, particles), atol=1e-5)
 
 
 def test_a_batch_gives_what_its_frames_give(network: Network, make_particles: Make) -> None:
     network.eval()
     counts = ((120, 40), (1, 0), (77, 60))
-    batch = network(make_particles(*counts))
-    alone = [network(frame) for frame in _frames(make_particles(*counts))]
+    batch = output_of(network, make_particles(*counts))
+    alone = [output_of(network, frame) for frame in _frames(make_particles(*counts))]
     assert torch.allclose(batch, torch.cat(alone), atol=1e-5)
 
 
@@ -144,14 +149,14 @@ def test_few_particles_and_no_solids(
     network: Network, make_particles: Make, counts: tuple[int, int], training: bool
 ) -> None:
     network.train(training)
-    output = network(make_particles(counts))
+    output = output_of(network, make_particles(counts))
     assert output.shape == (counts[0], network.target.width)
     assert output.isfinite().all()
 
 
 def test_no_particle_at_all(network: Network, make_particles: Make) -> None:
     network.eval()
-    assert network(make_particles((0, 10))).shape == (0, network.target.width)
+    assert output_of(network, make_particles((0, 10))).shape == (0, network.target.width)
 
 
 def test_all_particles_in_one_voxel_and_at_one_point(
@@ -163,17 +168,17 @@ def test_all_particles_in_one_voxel_and_at_one_point(
     )
     together = particles.moved(particles.position[:1].expand(50, 3), particles.velocity)
     for state in (crowded, together):
-        assert network(state).isfinite().all()
+        assert output_of(network, state).isfinite().all()
 
 
 def test_particles_outside_the_domain(network: Network, make_particles: Make) -> None:
     particles = make_particles((50, 10))
     outside = particles.moved(100 * (particles.position - 0.5), particles.velocity)
-    assert network(outside).isfinite().all()
+    assert output_of(network, outside).isfinite().all()
 
 
 def test_gradients_reach_every_weight(network: Network, make_particles: Make) -> None:
-    network(make_particles((150, 60), (90, 60))).square().mean().backward()
+    output_of(network, make_particles((150, 60), (90, 60))).square().mean().backward()
     for name, weight in network.named_parameters():
         assert weight.grad is not None and weight.grad.abs().sum() > 0, name
 
@@ -202,9 +207,9 @@ class DevicesAreNamed(TorchFunctionMode):
 def test_no_tensor_is_made_without_a_device(network: Network, make_particles: Make) -> None:
     particles = make_particles((150, 60), (90, 60))
     with DevicesAreNamed():
-        network(particles).square().mean().backward()
+        output_of(network, particles).square().mean().backward()
         network.eval()
-        network(particles)
+        output_of(network, particles)
     with pytest.raises(AssertionError, match="zeros"), DevicesAreNamed():
         torch.zeros(3)
 
@@ -212,6 +217,6 @@ def test_no_tensor_is_made_without_a_device(network: Network, make_particles: Ma
 def test_the_neighbor_search_does_not_matter(make_particles: Make, device: torch.device) -> None:
     network = NETWORKS["paper"]().to(device).eval()
     particles = make_particles((300, 100), (200, 50))
-    expected = network(particles)
+    expected = output_of(network, particles)
     network.neighbors = BruteForce()
-    assert torch.allclose(network(particles), expected, atol=1e-5)
+    assert torch.allclose(output_of(network, particles), expected, atol=1e-5)

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import torch
+from outputs import output_of
 from test_module import data, trainer
 from torch import Tensor
 
@@ -16,6 +17,7 @@ from fluidsnet.features import KernelMessages, NoGlobalFeature, VoxelField
 from fluidsnet.integrator import Displacement
 from fluidsnet.neighbors import BruteForce, Neighbors
 from fluidsnet.particles import Particles
+from fluidsnet.priors import FreeFall
 from fluidsnet.target import DisplacementTarget, VelocityTarget
 
 Make = Callable[..., Particles]
@@ -69,13 +71,13 @@ def test_mixed_precision_is_near_full_precision_and_gives_full_precision(
     torch.manual_seed(0)
     model = FluidsNet((6, 4, 6), **BLOCKS[blocks]()).to(device).model.network.eval()
     particles = make_particles((300, 100), (200, 50))
-    expected = model(particles)
+    expected = output_of(model, particles)
     expected.square().mean().backward()
     gradients = [weight.grad.clone() for weight in model.parameters() if weight.grad is not None]
     model.zero_grad()
     with torch.autocast(device.type, torch.bfloat16):
-        found = model(particles)
-        features = model.local(particles, model.neighbors(particles), model.inputs)
+        found = output_of(model, particles)
+        features = model.local(particles, model.neighbors(particles), model.inputs, torch.empty(0))
     found.square().mean().backward()
     assert found.dtype == features.dtype == torch.float32
     assert (found - expected).norm() < 0.02 * expected.norm()
@@ -92,7 +94,7 @@ def test_a_small_move_far_out_is_seen_in_mixed_precision(
     particles = make_particles((300, 100))
     moved = particles.moved(particles.position * 0.999, particles.velocity)
     with torch.autocast(device.type, torch.bfloat16):
-        places = [model.inputs(state) for state in (particles, moved)]
+        places = [model.inputs(state, FreeFall()(state)) for state in (particles, moved)]
         first = [model.head[0](torch.cat([p, p.new_zeros(len(p), 9)], dim=1)) for p in places]
     assert first[0].dtype == torch.float32
     assert ((first[0] - first[1]).abs().sum(dim=1) > 0).all()

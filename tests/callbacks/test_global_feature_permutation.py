@@ -13,6 +13,7 @@ from callbacks.global_feature_permutation import _derangement
 from datamodules import SPHDataModule
 from fluidsnet import FluidsNet
 from fluidsnet.features import NoGlobalFeature
+from fluidsnet.priors import FreeFall
 
 
 def measure(model: FluidsNet, source: SPHDataModule, folder: Path) -> dict[str, float]:
@@ -82,7 +83,9 @@ def test_the_foreign_vector_is_that_of_the_other_frame(
         for row in range(4):
             own, other = dataset[row], dataset[_derangement(4)[row]]
             network = model.model.network
-            vector = network.global_feature(other.state, network.features(other.state))[:1]
+            vector = network.global_feature(
+                other.state, network.features(other.state, FreeFall()(other.state))
+            )[:1]
             state = model.model.step(own.state, vector.expand(len(own.state), -1))
             errors.append((state.velocity - own.next_velocity[0]).double().square().mean())
     expected = float(torch.stack(errors).mean())

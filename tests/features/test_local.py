@@ -25,10 +25,13 @@ from fluidsnet.model import Model
 from fluidsnet.neighbors import Auto, BruteForce
 from fluidsnet.network import Network
 from fluidsnet.particles import Particles, Transitions
+from fluidsnet.priors import FreeFall, Guess
 from fluidsnet.statistics import Statistics
 from fluidsnet.target import VelocityTarget
 
 Make = Callable[..., Particles]
+#: Columns of the input feature, which these local features do not read.
+NO_COLUMNS = torch.empty(0)
 
 
 def test_neighbor_mean_against_a_loop(make_particles: Make) -> None:
@@ -37,7 +40,7 @@ def test_neighbor_mean_against_a_loop(make_particles: Make) -> None:
     device = particles.position.device
     inputs, local = ParticleState().to(device), NeighborMean().to(device)
     inputs.velocity_deviation.fill_(0.5)
-    found = local(particles, BruteForce()(particles), inputs)
+    found = local(particles, BruteForce()(particles), inputs, NO_COLUMNS)
     everyone = torch.cat([particles.position, particles.solid_position])
     velocity = torch.cat([particles.velocity, particles.solid_velocity])
     frame = torch.cat([particles.frame, particles.solid_frame])
@@ -65,7 +68,7 @@ def test_neighbor_mean_against_a_loop(make_particles: Make) -> None:
 def test_a_particle_without_neighbors_gets_zeros(make_particles: Make) -> None:
     particles = make_particles((1, 0))
     local = NeighborMean().to(particles.position.device)
-    found = local(particles, BruteForce()(particles), ParticleState())
+    found = local(particles, BruteForce()(particles), ParticleState(), NO_COLUMNS)
     assert torch.equal(found, torch.zeros_like(found))
 
 
@@ -78,7 +81,7 @@ def test_messages_fade_before_a_neighbor_is_lost(make_particles: Make) -> None:
     def feature(distance: float) -> torch.Tensor:
         position = torch.tensor([[0.5, 0.5, 0.5], [0.5 + distance, 0.5, 0.5]], device=device)
         state = replace(particles, position=position)
-        return messages(state, BruteForce()(state), inputs)
+        return messages(state, BruteForce()(state), inputs, NO_COLUMNS)
 
     # At the support radius of 0.2 the neighbor goes; the feature does not jump.
     assert torch.allclose(feature(0.1999), feature(0.2001), atol=1e-5)
@@ -99,7 +102,7 @@ def test_messages_tell_a_dense_neighborhood_from_a_thin_one(make_particles: Make
         torch.tensor([[0.5, 0.5, 0.5], [0.6, 0.5, 0.5], [0.6, 0.5, 0.5]], device=device),
         thin.velocity,
     )
-    states = [(state, BruteForce()(state), inputs) for state in (thin, dense)]
+    states = [(state, BruteForce()(state), inputs, NO_COLUMNS) for state in (thin, dense)]
     heard = [messages(*state)[0] for state in states]
     assert not torch.allclose(heard[0], heard[1], atol=1e-3)
     averaged = [mean(*state)[0] for state in states]
@@ -112,7 +115,8 @@ def test_inputs_are_normalized_by_the_scene(make_particles: Make) -> None:
     corners = torch.cat([particles.scene.domain_lower, particles.scene.domain_upper])
     inputs = ParticleState().to(device)
     inputs.velocity_deviation.fill_(4.0)
-    found = inputs(particles.moved(corners, torch.full((2, 3), 2.0, device=device)))
+    at_corners = particles.moved(corners, torch.full((2, 3), 2.0, device=device))
+    found = inputs(at_corners, FreeFall()(at_corners))
     expected = [[-1.0] * 3 + [0.5] * 3 + [0.0], [1.0] * 3 + [0.5] * 3 + [0.0]]
     assert torch.allclose(found, torch.tensor(expected, device=device))
 
@@ -123,13 +127,13 @@ def test_the_compiled_gradients_are_torchs(make_particles: Make, device: torch.d
     neighbors = BruteForce(k=7)(particles)
     inputs, local = ParticleState().to(device), NeighborMean(hidden=5, width=6).to(device)
     weight = torch.randn(len(particles), 6, device=device)
-    found = local(particles, neighbors, inputs)
+    found = local(particles, neighbors, inputs, NO_COLUMNS)
     (found * weight).sum().backward()
     gradients = [parameter.grad.clone() for parameter in local.parameters()]
     local.zero_grad()
     # Positions that want a gradient go through torch alone.
     watched = particles.moved(particles.position.clone().requires_grad_(), particles.velocity)
-    expected = local(watched, neighbors, inputs)
+    expected = local(watched, neighbors, inputs, NO_COLUMNS)
     (expected * weight).sum().backward()
     assert watched.position.grad is not None
     assert torch.allclose(found, expected, atol=2e-6)
@@ -164,7 +168,7 @@ class SpeedAndHeight(InputFeature):
     def set_statistics(self, statistics: Statistics) -> None:
         pass
 
-    def forward(self, particles: Particles) -> Tensor:
+    def forward(self, particles: Particles, guess: Guess) -> Tensor:
         height, velocity = particles.position[:, 1:2], particles.velocity
         return torch.cat([height, velocity.norm(dim=1, keepdim=True)], dim=1)
 
