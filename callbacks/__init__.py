@@ -9,6 +9,7 @@ from callbacks.global_feature_permutation import (
 from callbacks.hyperparameters import HyperParameters as HyperParameters
 from callbacks.loss_chart import LossChart as LossChart
 from callbacks.one_step_table import OneStepTable as OneStepTable
+from callbacks.prior_baseline import PriorBaseline as PriorBaseline
 from callbacks.rollout_mesh import RolloutMesh as RolloutMesh
 from callbacks.rollout_metrics import RolloutMetrics as RolloutMetrics
 from callbacks.rollout_picture import RolloutPicture as RolloutPicture

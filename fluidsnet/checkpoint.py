@@ -37,7 +37,8 @@ def check(checkpoint: dict[str, Any], models: Mapping[str, Model], resumed: bool
     """Check that a checkpoint matches the models it is loaded into.
 
     Args:
-        checkpoint: Loses, in place, the weights of twins that are not among the models.
+        checkpoint: Loses, in place, the weights of twins that are not among the models, and gets
+            those of models that have no network.
         models: "model" and its twins.
         resumed: Whether training continues, which needs every twin.
 
@@ -64,6 +65,11 @@ def check(checkpoint: dict[str, Any], models: Mapping[str, Model], resumed: bool
             f"load_from_checkpoint(path, {block}=…)."
         )
     for name in models.keys() - {"model"}:
+        if not models[name].network.target.width:
+            # Without a network there is nothing to load.
+            own = {f"{PREFIX}{name}.{key}": it for key, it in models[name].state_dict().items()}
+            checkpoint["state_dict"].update(own)
+            continue
         if name not in saved:
             raise UserError(
                 f"This checkpoint holds no twin {name!r}: leave out the callback Ablation of that "

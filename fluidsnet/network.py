@@ -73,7 +73,9 @@ class Network(nn.Module):
         width = self.inputs.width + local.width
         self.global_feature = global_feature(grid_shape, width)
         self.target = target
-        self.head = Perceptron((width + self.global_feature.width, *head, target.width))
+        # A target without columns has no output to compute.
+        widths = (width + self.global_feature.width, *head, target.width)
+        self.head = Perceptron(widths if target.width else ())
 
     @property
     def reads_description(self) -> bool:

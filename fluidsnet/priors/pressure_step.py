@@ -53,7 +53,8 @@ class PressureStep(Prior):
         substeps: Number of substeps for each search; at a step of 20 ms and a particle radius of
             25 mm, two of each.
         sweeps: Sweeps over density in a substep.
-        divergence_sweeps: Sweeps over divergence in a substep.
+        divergence_sweeps: Sweeps over divergence in a substep; none for data of IISPH, which
+            solves for density alone.
         solver_step: Time step of the solver that made the data, s, which sets m.
         relaxation: ω of the sweeps.
         warm_start: Share of the pressure that the next substep starts from.

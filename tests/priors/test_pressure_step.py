@@ -71,7 +71,7 @@ CASES = {
     "two at one place": lambda: Particles.single(
         torch.full((2, 3), 0.4), torch.eye(3)[:2], torch.empty(0, 3), scene()
     ),
-    "outside": lambda: (it := block()).moved(it.position - 0.3, it.velocity),
+    "outside": lambda: (it := block()).moved(it.position - 0.06, it.velocity),
 }  # fmt: skip
 
 
@@ -141,7 +141,8 @@ def test_a_lone_particle_falls_as_the_solver_lets_it() -> None:
 
 
 def test_momentum_is_conserved_without_walls_and_gravity() -> None:
-    state = block(walls=False, where=scene(8.0, gravity=(0.0, 0.0, 0.0)))
+    # Viscosity as in SPlisHSPlasH weighs a neighbor by its density, which is not symmetric.
+    state = block(walls=False, where=scene(8.0, (0.0, 0.0, 0.0), viscosity=0.0))
     state = state.moved(state.position + 4.0, state.velocity)
     guess = PressureStep(sweeps=6)(state)
     assert (guess.velocity - state.velocity).abs().max() > 0.1
