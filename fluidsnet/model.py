@@ -121,6 +121,19 @@ class Model(nn.Module):
         """Return whether the model can be used: it was trained, or has no weights to train."""
         return bool(self.time_step != 0) or self.network.target.width == 0
 
+    def check_trainable(self) -> None:
+        """Check that there is a network to train.
+
+        Raises:
+            UserError: The model is its prior alone.
+        """
+        if self.network.target.width == 0:
+            raise UserError(
+                f"The prior {type(self.prior).__name__} alone has no weights to train: run "
+                "`fluidsnet test` or `predict` with this config, or choose another target, such as "
+                "DisplacementTarget."
+            )
+
     def guess(self, particles: Particles) -> Guess:
         """Return the prior's step, described as far as the network needs it."""
         return self.prior.guess(particles, self.network.reads_description)

@@ -104,6 +104,7 @@ class FluidsNet(LightningModule):
         for model in self.named_models().values():
             model.check_scenes(data.scenes)
         if stage == "fit":
+            self.model.check_trainable()
             # A resumed checkpoint is loaded after this and overwrites these values.
             for model in self.named_models().values():
                 model.set_statistics(data.statistics, data.time_step)

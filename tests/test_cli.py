@@ -64,7 +64,11 @@ def run(sample: Path, tmp_path: Path) -> Run:
     return run
 
 
-@pytest.mark.parametrize("model", sorted((CONFIGS / "model").glob("*.yaml")), ids=lambda p: p.stem)
+PRIOR = CONFIGS / "model" / "prior.yaml"
+TRAINED = sorted(set((CONFIGS / "model").glob("*.yaml")) - {PRIOR})
+
+
+@pytest.mark.parametrize("model", TRAINED, ids=lambda path: path.stem)
 def test_every_model_trains_is_tested_and_rolls_out(
     model: Path, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -74,10 +78,11 @@ def test_every_model_trains_is_tested_and_rolls_out(
     run("test", more=(f"--run={folder}",))
     with (folder / RESULTS / "one_step.csv").open() as file:
         rows = list(csv.reader(file))
-    assert [row[0] for row in rows[1:]] == ["model", "constant velocity", "ballistic"]
+    names = ["model", *(["prior"] if model.stem == "corrected" else [])]
+    assert [row[0] for row in rows[1:]] == [*names, "constant velocity", "ballistic"]
     with (folder / RESULTS / "rollout_metrics.csv").open() as file:
         measured = [(row["predictor"], row["steps"]) for row in csv.DictReader(file)]
-    assert ("model", "1") in measured and ("truth", "25") in measured
+    assert {(name, "1") for name in names} | {("truth", "25")} <= set(measured)
     assert (folder / RESULTS / "rollout_metrics.png").exists()
     printed = capsys.readouterr().out
     assert (folder / RESULTS / "one_step.md").read_text() in printed
@@ -89,6 +94,26 @@ def test_every_model_trains_is_tested_and_rolls_out(
     assert len(list((folder / RESULTS / "rollouts").glob("*.vtkhdf"))) == 1
     # A later test or prediction leaves the training's own configuration in place.
     assert "rollout_steps: null" in (folder / "config.yaml").read_text()
+
+
+def test_the_prior_alone_runs_without_training(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        run("fit", TRAINER, PRIOR, SAMPLE)
+    assert "The prior PressureStep alone has no weights to train" in capsys.readouterr().err
+    here = tuple(
+        f"--trainer.logger.init_args.{name}={value}"
+        for name, value in (("save_dir", tmp_path), ("name", "run"), ("version", ""))
+    )
+    for command in ("test", "predict"):
+        run(command, TRAINER, PRIOR, SAMPLE, more=here)
+    folder = tmp_path / "run" / RESULTS
+    with (folder / "one_step.csv").open() as file:
+        skills = {row["one step ahead"]: float(row["skill"]) for row in csv.DictReader(file)}
+    assert list(skills) == ["model", "constant velocity", "ballistic"]
+    assert skills["model"] > 0.7
+    assert len(list((folder / "rollouts").glob("*.vtkhdf"))) == 1
 
 
 ABLATIONS = sorted((CONFIGS / "ablation").glob("*.yaml"))
@@ -251,13 +276,15 @@ def test_every_scene_config_is_simulated(scene: Path, tmp_path: Path) -> None:
 def test_the_demo_trains_as_it_is_composed(run: Run, tmp_path: Path) -> None:
     run(
         "fit",
-        *(TRAINER, CONFIGS / "model" / "field.yaml", SAMPLE, CONFIGS / "demo.yaml"),
+        *(TRAINER, CONFIGS / "model" / "corrected.yaml", SAMPLE, CONFIGS / "demo.yaml"),
         more=("--trainer.max_epochs=-1", "--trainer.max_steps=2", "--trainer.val_check_interval=2"),
     )
     assert (tmp_path / "run" / "checkpoints" / "best.ckpt").exists()
-    written = yaml.safe_load((tmp_path / "run" / "config.yaml").read_text())["trainer"]
-    demo = yaml.safe_load((CONFIGS / "demo.yaml").read_text())["trainer"]
-    assert written["gradient_clip_val"] == demo["gradient_clip_val"]
+    written = yaml.safe_load((tmp_path / "run" / "config.yaml").read_text())
+    demo = yaml.safe_load((CONFIGS / "demo.yaml").read_text())
+    assert written["trainer"]["gradient_clip_val"] == demo["trainer"]["gradient_clip_val"]
+    prior = written["model"]["init_args"]["prior"]["init_args"]
+    assert prior.items() >= demo["model"]["init_args"]["prior"]["init_args"].items()
 
 
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")

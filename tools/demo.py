@@ -47,7 +47,7 @@ def main() -> None:
         data = "sample"
     generated = time.monotonic()
     shutil.rmtree(ROOT / RUN, ignore_errors=True)
-    configs = ("trainer", "model/field", f"data/{data}", "demo")
+    configs = ("trainer", "model/corrected", f"data/{data}", "demo")
     fluidsnet("fit", *(f"--config=configs/{config}.yaml" for config in configs))
     trained = time.monotonic()
     fluidsnet("test", "--run", str(RUN))

@@ -20,6 +20,7 @@ from fluidsnet.errors import UserError
 from fluidsnet.features import NoGlobalFeature
 from fluidsnet.integrator import Integrator
 from fluidsnet.particles import Particles
+from fluidsnet.priors import Guess
 from fluidsnet.statistics import Statistics
 from fluidsnet.target import Motion, Target, VelocityTarget
 
@@ -50,11 +51,11 @@ class Fast(Target):
     def set_statistics(self, statistics: Statistics) -> None:
         pass
 
-    def decode(self, output: torch.Tensor, particles: Particles) -> Motion:
+    def decode(self, output: torch.Tensor, particles: Particles, guess: Guess) -> Motion:
         return Motion(torch.full_like(output, 1000.0))
 
     def encode(
-        self, particles: Particles, position: torch.Tensor, velocity: torch.Tensor
+        self, particles: Particles, guess: Guess, position: torch.Tensor, velocity: torch.Tensor
     ) -> torch.Tensor:
         return velocity
 
