@@ -9,10 +9,7 @@ import numpy as np
 from numba import njit, prange
 
 from fluidsnet.kernels.moments import basis
-from fluidsnet.kernels.pressure_step import slope, spline
-
-# Particles per task of a thread.
-_CHUNK = 64
+from fluidsnet.kernels.sph_sums import CHUNK, slope, spline
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
@@ -28,9 +25,9 @@ def density_and_walls(
     inverse, own = np.float32(1.0 / radius), np.float32(volume)
     least = np.float32(1e-8 * radius)
     count = len(place)
-    for chunk in prange((count + _CHUNK - 1) // _CHUNK):
+    for chunk in prange((count + CHUNK - 1) // CHUNK):
         weights, other = np.zeros((10, 1), np.float32), np.empty(3, np.float32)
-        for i in range(chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK)):
+        for i in range(chunk * CHUNK, min(count, (chunk + 1) * CHUNK)):
             x, y, z = place[i, 0], place[i, 1], place[i, 2]
             a = b = c = np.float32(0.0)
             total = own * height * spline(np.float32(0.0))

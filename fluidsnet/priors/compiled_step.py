@@ -15,8 +15,9 @@ from fluidsnet.kernels.cell_table import CellTable, CellTables
 from fluidsnet.kernels.columns import as_array
 from fluidsnet.kernels.near_lists import near_lists
 from fluidsnet.kernels.near_rows import in_rows
-from fluidsnet.kernels.pressure_step import Box, Numbers, State, Walls, pressure_step, solid_volumes
+from fluidsnet.kernels.pressure_step import Boxes, Numbers, State, Walls, pressure_step
 from fluidsnet.kernels.prior_columns import density_and_walls
+from fluidsnet.kernels.sph_sums import solid_volumes
 from fluidsnet.kernels.threads import set_threads
 from fluidsnet.neighbors.search import Neighbors
 from fluidsnet.particles import Particles
@@ -36,7 +37,7 @@ class CompiledStep:
         particles: Particles,
         searched: Tensor,
         pressures: tuple[Tensor, Tensor],
-        box: Box,
+        boxes: Boxes,
         numbers: Numbers,
         substeps: int,
     ) -> Outcome:
@@ -46,7 +47,7 @@ class CompiledStep:
             particles: N fluid particles and the solid ones, float32 on the CPU.
             searched: (N, 3) places at which neighbors are searched, m.
             pressures: (N,) m²/s, of the phases of divergence and density.
-            box: Scene of each frame.
+            boxes: Scene of each frame.
             numbers: Numbers of the step.
             substeps: Number of substeps.
         """
@@ -57,7 +58,7 @@ class CompiledStep:
         values = (particles.position, particles.velocity, *pressures)
         place, velocity, upkeep, pressure = (as_array(it)[fluid.row] for it in values)
         state = _state(upkeep, pressure)
-        pressure_step(place, velocity, fluid.frame, lists, walls, box, numbers, substeps, state)
+        pressure_step(place, velocity, fluid.frame, lists, walls, boxes, numbers, substeps, state)
         rows = partial(_in_rows, row=fluid.row)
 
         def describe() -> tuple[Neighbors, Tensor]:
@@ -122,6 +123,6 @@ def _state(upkeep: NDArray[np.float32], pressure: NDArray[np.float32]) -> State:
         return np.empty((len(pressure), *shape), np.float32)
 
     return State(
-        middle=empty(3), density=empty(), surface=empty(3), neighbors=empty(), divergence=empty(),
+        middle=empty(3), density=empty(), surface=empty(3), divergence=empty(),
         left=empty(), divergence_pressure=upkeep, pressure=pressure,
     )  # fmt: skip

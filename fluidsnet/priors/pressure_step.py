@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import final
 
-import torch
 from torch import Tensor
 from torch.profiler import record_function
 
+from fluidsnet.cache import TensorCache
 from fluidsnet.errors import UserError
 from fluidsnet.kernels import use_kernel
 from fluidsnet.kernels.columns import as_array
-from fluidsnet.kernels.pressure_step import REGULARIZATION, Box, Numbers
-from fluidsnet.moments import moment_weights
+from fluidsnet.kernels.pressure_step import Boxes, Numbers
 from fluidsnet.neighbors.auto import Auto
-from fluidsnet.neighbors.search import Neighbors
 from fluidsnet.particles import Particles
+from fluidsnet.priors.box import Box, corners
 from fluidsnet.priors.columns import join_columns
 from fluidsnet.priors.compiled_step import CompiledStep
+from fluidsnet.priors.edges import Edges, Gradients
 from fluidsnet.priors.outcome import Outcome
 from fluidsnet.priors.prior import Guess, Prior
-from fluidsnet.sph import NEIGHBORS, cubic_spline, solid_volumes, spline_slope
+from fluidsnet.sph import NEIGHBORS, solid_volumes
 
 
 @final
@@ -96,6 +95,7 @@ class PressureStep(Prior):
         self.solver_step, self.relaxation = solver_step, relaxation
         self.warm_start, self.clearance = warm_start, clearance
         self._search = Auto(NEIGHBORS)
+        self._volumes: TensorCache[Tensor] = TensorCache()
         self._compiled = CompiledStep()
 
     def mean_weight(self, substep: float) -> float:
@@ -130,7 +130,7 @@ class PressureStep(Prior):
     def _kernel(self, particles: Particles, pressures: tuple[Tensor, Tensor]) -> Outcome:
         """Return the outcome of the substeps of one search, by the kernel."""
         scene = particles.scene
-        lower, upper = box_corners(particles, self.clearance)
+        lower, upper = corners(particles, self.clearance)
         substep = scene.time_step / (self.searches * self.substeps)
         numbers = Numbers(
             radius=scene.support_radius,
@@ -142,23 +142,28 @@ class PressureStep(Prior):
             relaxation=self.relaxation,
             warm_start=self.warm_start,
         )
-        box = Box(*map(as_array, (lower, upper, scene.gravity, scene.viscosity)))
+        boxes = Boxes(*map(as_array, (lower, upper, scene.gravity, scene.viscosity)))
         return self._compiled(
-            particles, self._middle(particles), pressures, box, numbers, self.substeps
+            particles, self._middle(particles), pressures, boxes, numbers, self.substeps
         )
 
     def _middle(self, particles: Particles) -> Tensor:
         """Return the places (N, 3) in the middle of the substeps of one search, m."""
         half = particles.scene.time_step / (2 * self.searches)
-        box = _Box.of(particles, self.clearance)
+        box = Box.of(particles, self.clearance)
         return box.inside(particles.position + half * particles.velocity)
 
     def _reference(self, particles: Particles, pressures: tuple[Tensor, Tensor]) -> Outcome:
         """Return the outcome of the substeps of one search, in torch."""
         scene = particles.scene
-        box = _Box.of(particles, self.clearance)
+        box = Box.of(particles, self.clearance)
         searched = particles.moved(self._middle(particles), particles.velocity)
-        geometry = _Geometry.of(searched, self._search(searched))
+        solids = self._volumes.get(
+            (particles.solid_position, particles.solid_frame),
+            (scene.support_radius, particles.frames),
+            lambda position, frame: solid_volumes(particles),
+        )
+        edges = Edges.of(searched, self._search(searched), solids)
         step = scene.time_step / (self.searches * self.substeps)
         weight = self.mean_weight(step)
         gravity = particles.per_particle(scene.gravity)
@@ -168,7 +173,7 @@ class PressureStep(Prior):
         divergence = None
         for _ in range(self.substeps):
             before = velocity
-            at = geometry.at(box.inside(position + step / 2 * velocity))
+            at = edges.at(box.inside(position + step / 2 * velocity))
             divergence = at.divergence(velocity) if divergence is None else divergence
             upkeep, pressure = self.warm_start * upkeep, self.warm_start * pressure
             velocity = velocity + viscosity * at.viscous(velocity) - at.push(upkeep)
@@ -190,167 +195,9 @@ class PressureStep(Prior):
             pressures=(upkeep, pressure),
             rates=(divergence, at.divergence(velocity)),
             density=at.density,
-            surface=geometry.sum(at.gradient),
-            describe=lambda: (geometry.wet_edges(), geometry.describe(position)),
+            surface=edges.sum(at.gradient),
+            describe=lambda: (edges.wet_edges(), edges.describe(position)),
         )
 
-    def _raised(self, at: _Gradients, pressure: Tensor, rate: Tensor) -> Tensor:
+    def _raised(self, at: Gradients, pressure: Tensor, rate: Tensor) -> Tensor:
         return (pressure + self.relaxation * at.stiffness * rate).clamp_min(0)
-
-
-@dataclass(frozen=True)
-class _Box:
-    """Walls at which particles stop, a row for each particle or one for all, m."""
-
-    lower: Tensor
-    upper: Tensor
-
-    @classmethod
-    def of(cls, particles: Particles, clearance: float) -> _Box:
-        lower, upper = box_corners(particles, clearance)
-        return cls(particles.per_particle(lower), particles.per_particle(upper))
-
-    def inside(self, position: Tensor) -> Tensor:
-        """Return positions (N, 3) moved into the box."""
-        return position.clamp(self.lower, self.upper)
-
-    def stop(self, position: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the state in which particles beyond a wall stop at it."""
-        outward = ((position < self.lower) & (velocity < 0)) | (
-            (position > self.upper) & (velocity > 0)
-        )
-        return position.clamp(self.lower, self.upper), velocity.masked_fill(outward, 0.0)
-
-
-def box_corners(particles: Particles, clearance: float) -> tuple[Tensor, Tensor]:
-    """Return the corners (F, 3) of the boxes that the particles' centers stay in, m."""
-    scene = particles.scene
-    # In a box narrower than two clearances, particles stop in the middle.
-    gap = (scene.extent / 2).clamp_max(clearance * scene.particle_radius)
-    return scene.domain_lower + gap, scene.domain_upper - gap
-
-
-@dataclass(frozen=True)
-class _Geometry:
-    """Edges of a step, and what does not change in it.
-
-    Attributes:
-        particle: (E,) fluid particle of each edge.
-        neighbor: (E,) fluid particle, or of an edge to a solid 0.
-        wet: (E,) whether the neighbor is fluid.
-        place: (E, 3) of the solid neighbor, m.
-        volume: (E,) of the neighbor, m³.
-        own_volume: Of a fluid particle, m³.
-        radius: Support radius, m.
-        count: Number of fluid particles.
-    """
-
-    particle: Tensor
-    neighbor: Tensor
-    wet: Tensor
-    place: Tensor
-    volume: Tensor
-    own_volume: float
-    radius: float
-    count: int
-
-    @classmethod
-    def of(cls, particles: Particles, edges: Neighbors) -> _Geometry:
-        count, scene = len(particles), particles.scene
-        own_volume = (2 * scene.particle_radius) ** 3
-        solids = solid_volumes(particles).to(particles.position.dtype)
-        volumes = torch.cat([solids.new_full((count,), own_volume), solids])
-        both = torch.cat([particles.position, particles.solid_position])
-        wet = edges.neighbor < count
-        return cls(
-            particle=edges.particle,
-            neighbor=edges.neighbor.where(wet, 0),
-            wet=wet,
-            place=both.index_select(0, edges.neighbor),
-            volume=volumes.index_select(0, edges.neighbor),
-            own_volume=own_volume,
-            radius=scene.support_radius,
-            count=count,
-        )
-
-    def at(self, position: Tensor) -> _Gradients:
-        """Return the gradients at positions (N, 3), m."""
-        other = position.index_select(0, self.neighbor)
-        other = torch.where(self.wet[:, None], other, self.place)
-        offset = position.index_select(0, self.particle) - other
-        distance = torch.linalg.vector_norm(offset, dim=1) + 1e-8 * self.radius
-        gradient = (self.volume * spline_slope(distance, self.radius) / distance)[:, None] * offset
-        density = self.sum(self.volume * cubic_spline(distance, self.radius))
-        density = density + self.own_volume * cubic_spline(distance.new_zeros(()), self.radius)
-        squares = gradient.square().sum(dim=1) * self.wet
-        diagonal = self.sum(gradient).square().sum(dim=1) + self.sum(squares)
-        stiffness = 1 / (diagonal + REGULARIZATION / self.radius**2)
-        return _Gradients(self, offset, gradient, density, stiffness)
-
-    def wet_edges(self) -> Neighbors:
-        """Return the edges between fluid particles."""
-        return Neighbors.from_edges(self.particle[self.wet], self.neighbor[self.wet], self.count)
-
-    def describe(self, position: Tensor) -> Tensor:
-        """Return density, its gradient and the moments of the walls at positions, (N, 14)."""
-        at = self.at(position)
-        share = self.volume / self.own_volume * ~self.wet
-        moments = [self.sum(share * weight) for weight in moment_weights(-at.offset / self.radius)]
-        return torch.cat(
-            [
-                at.density[:, None],
-                self.radius * self.sum(at.gradient),
-                torch.stack(moments, dim=1),
-            ],
-            dim=1,
-        )
-
-    def sum(self, values: Tensor) -> Tensor:
-        """Return the sum over the edges (E, ...) of each particle, (N, ...)."""
-        zeros = values.new_zeros(self.count, *values.shape[1:])
-        return zeros.index_add(0, self.particle, values)
-
-
-@dataclass(frozen=True)
-class _Gradients:
-    """V∇W of each edge at a place of the particles, and the operations that it defines.
-
-    Attributes:
-        edges: The edges.
-        offset: (E, 3) from neighbor to particle, m.
-        gradient: (E, 3) V∇W, 1/m.
-        density: (N,) ρ/ρ₀.
-        stiffness: (N,) α, m².
-    """
-
-    edges: _Geometry
-    offset: Tensor
-    gradient: Tensor
-    density: Tensor
-    stiffness: Tensor
-
-    def divergence(self, velocity: Tensor) -> Tensor:
-        """Return D v, the rate of ρ/ρ₀ (N,), 1/s; solids rest."""
-        return self.edges.sum((self.gradient * self._relative(velocity)).sum(dim=1))
-
-    def push(self, pressure: Tensor) -> Tensor:
-        """Return Σ V∇W (p_i + p_j), (N, 3) m/s; a solid has no pressure of its own."""
-        edges = self.edges
-        both = pressure.index_select(0, edges.particle) + (
-            pressure.index_select(0, edges.neighbor) * edges.wet
-        )
-        return edges.sum(self.gradient * both[:, None])
-
-    def viscous(self, velocity: Tensor) -> Tensor:
-        """Return the viscous acceleration (N, 3) over 10ν, between fluid particles."""
-        edges = self.edges
-        along = (self._relative(velocity) * self.offset).sum(dim=1) * edges.wet
-        along = along / (self.offset.square().sum(dim=1) + 0.01 * edges.radius**2)
-        along = along / self.density.index_select(0, edges.neighbor)
-        return edges.sum(along[:, None] * self.gradient)
-
-    def _relative(self, velocity: Tensor) -> Tensor:
-        """Return v_i - v_j of each edge, (E, 3)."""
-        edges = self.edges
-        other = velocity.index_select(0, edges.neighbor) * edges.wet[:, None]
-        return velocity.index_select(0, edges.particle) - other
