@@ -25,7 +25,7 @@ from fluidsnet.reporting.requirements import require_fluidsnet
 Plain = bool | int | float | str
 
 #: Blocks that are shown; TensorBoard sorts by name and shows the first five by default.
-_BLOCKS = ("global_feature", "integrator", "local", "noise", "target", "walls")
+_BLOCKS = ("global_feature", "integrator", "local", "noise", "prior", "target", "walls")
 #: Attributes of the data module that are shown.
 _OF_DATA = ("stride", "time_step", "voxel_size", "steps", "batch_size")
 

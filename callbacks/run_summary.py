@@ -80,11 +80,15 @@ def _device(trainer: Trainer) -> str:
 def _model(module: Any, checkpoint: Any) -> dict[str, str]:
     models = dict(module.models.items())
     model = models.pop("model")
-    shown = ("local", "global_feature", "target", "integrator", "walls")
+    shown = ["local", "global_feature", "target", "integrator", "walls"]
+    weights = f"{sum(weight.numel() for weight in model.network.parameters()):,}"
+    if model.prior.describes:
+        shown.insert(0, "prior")
+    if not model.network.target.width:
+        shown, weights = ["prior", "target", "walls"], "none"
     blocks = ", ".join(type(model.blocks()[name]).__name__ for name in shown)
-    weights = sum(weight.numel() for weight in model.network.parameters())
     twins = f"; together with {', '.join(models)}" if models else ""
     return {
         "model": f"{type(module).__name__}: {blocks}{twins}",
-        "weights": f"{weights:,}{f' from {checkpoint}' if checkpoint else ''}",
+        "weights": f"{weights}{f' from {checkpoint}' if checkpoint else ''}",
     }

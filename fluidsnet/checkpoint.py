@@ -137,11 +137,11 @@ def _differences(
 ) -> list[tuple[str, Any, Any]]:
     """Return name, saved and present class of each block that must agree and does not.
 
-    Weights belong to the modules of the network; the other blocks may be replaced after
-    training. A twin is defined by the block that differs from its model's, whichever it is.
+    Weights belong to the modules of the network and to the prior that they correct; the other
+    blocks may be replaced after training. A twin is defined by the block that differs from its model's, whichever it is.
     """
     present = _note(model)
-    bound = {_GRID, *dict(model.network.named_children())}
+    bound = {_GRID, "prior", *dict(model.network.named_children())}
     if twin_of is not None:
         bound |= {name for name, block in saved.items() if block != twin_of.get(name)}
     return [
