@@ -26,6 +26,7 @@ from fluidsnet.arguments import with_base
 from fluidsnet.errors import UserError
 from fluidsnet.export.vtkhdf import read_field_data, read_frame
 from fluidsnet.main import USAGE, main
+from tools.demo import OF_IISPH
 
 ROOT = Path(__file__).parents[1]
 CONFIGS = ROOT / "configs"
@@ -277,14 +278,17 @@ def test_the_demo_trains_as_it_is_composed(run: Run, tmp_path: Path) -> None:
     run(
         "fit",
         *(TRAINER, CONFIGS / "model" / "corrected.yaml", SAMPLE, CONFIGS / "demo.yaml"),
-        more=("--trainer.max_epochs=-1", "--trainer.max_steps=2", "--trainer.val_check_interval=2"),
+        more=(
+            *("--trainer.max_epochs=-1", "--trainer.max_steps=2", "--trainer.val_check_interval=2"),
+            *OF_IISPH,
+        ),
     )
     assert (tmp_path / "run" / "checkpoints" / "best.ckpt").exists()
     written = yaml.safe_load((tmp_path / "run" / "config.yaml").read_text())
     demo = yaml.safe_load((CONFIGS / "demo.yaml").read_text())
     assert written["trainer"]["gradient_clip_val"] == demo["trainer"]["gradient_clip_val"]
     prior = written["model"]["init_args"]["prior"]["init_args"]
-    assert prior.items() >= demo["model"]["init_args"]["prior"]["init_args"].items()
+    assert (prior["divergence_sweeps"], prior["sweeps"]) == (0, 4)
 
 
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
