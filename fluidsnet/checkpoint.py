@@ -138,7 +138,8 @@ def _differences(
     """Return name, saved and present class of each block that must agree and does not.
 
     Weights belong to the modules of the network and to the prior that they correct; the other
-    blocks may be replaced after training. A twin is defined by the block that differs from its model's, whichever it is.
+    blocks may be replaced after training. A twin is defined by the block that differs from its
+    model's, whichever it is.
     """
     present = _note(model)
     bound = {_GRID, "prior", *dict(model.network.named_children())}
