@@ -53,6 +53,7 @@ class Numbers(NamedTuple):
     volume: float  # of a fluid particle, m³
     substep: float  # s
     mean_weight: float  # a: weight of the new velocity in the displacement
+    ahead: float  # share of a substep after which gradients are taken
     sweeps: int
     divergence_sweeps: int
     relaxation: float
@@ -89,14 +90,18 @@ def pressure_step(
     count, step = len(place), np.float32(numbers.substep)
     gradient = np.empty((3, len(lists.neighbor)), np.float32)
     stiffness = np.empty(count, np.float32)
-    before, change = np.empty((count, 3), np.float32), np.empty(count, np.float32)
+    before, driven = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
+    change = np.empty(count, np.float32)
     middle, total, density = state.middle, state.surface, state.density
     upkeep, pressure = state.divergence_pressure, state.pressure
     offset, neighbor = lists.offset, lists.neighbor
     # Each loop over the particles is a function of its own that takes plain arrays: numba fuses
     # loops that read what the one before wrote for other particles, and corrupts named tuples.
     for substep in range(substeps):
-        _move_to_middle(place, velocity, frame, boxes.lower, boxes.upper, step, middle, before)
+        _look_ahead(
+            place, velocity, frame, boxes.lower, boxes.upper, np.float32(numbers.ahead) * step,
+            middle, before,
+        )  # fmt: skip
         take_gradients(
             middle, offset, neighbor, lists.wall_offset, lists.wall, walls.place, walls.volume,
             numbers.radius, numbers.volume, numbers.relaxation, gradient, total, density, stiffness,
@@ -105,19 +110,18 @@ def pressure_step(
             _diverge(offset, neighbor, gradient, total, velocity, state.divergence)
         upkeep *= np.float32(numbers.warm_start)
         pressure *= np.float32(numbers.warm_start)
-        _add_viscosity(
-            frame, middle, offset, neighbor, gradient, total, density, before, boxes.viscosity,
-            step, numbers.radius, upkeep, velocity,
-        )  # fmt: skip
+        _push(offset, neighbor, gradient, total, upkeep, velocity)
         for _ in range(numbers.divergence_sweeps):
             _raise(
                 offset, neighbor, gradient, total, density, stiffness, velocity, np.float32(0.0),
                 upkeep, change,
             )  # fmt: skip
             _push(offset, neighbor, gradient, total, change, velocity)
-        _add_gravity(
-            frame, offset, neighbor, gradient, total, boxes.gravity, step, pressure, velocity
-        )
+        driven[:] = velocity
+        _add_forces(
+            frame, middle, offset, neighbor, gradient, total, density, driven, boxes.viscosity,
+            boxes.gravity, step, numbers.radius, pressure, velocity,
+        )  # fmt: skip
         for _ in range(numbers.sweeps):
             _raise(
                 offset, neighbor, gradient, total, density, stiffness, velocity,
@@ -132,14 +136,14 @@ def pressure_step(
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=FAST)
-def _move_to_middle(
-    place: Any, velocity: Any, frame: Any, lower: Any, upper: Any, step: Any, middle: Any,
+def _look_ahead(
+    place: Any, velocity: Any, frame: Any, lower: Any, upper: Any, time: Any, middle: Any,
     before: Any,
 ) -> None:  # fmt: skip
-    """Write the places (N, 3) half a substep later, and the velocities before it."""
+    """Write the places (N, 3) a time (s) later, and the velocities before."""
     for i in prange(len(place)):
         for axis in range(3):
-            value = place[i, axis] + np.float32(0.5) * step * velocity[i, axis]
+            value = place[i, axis] + time * velocity[i, axis]
             middle[i, axis] = min(max(value, lower[frame[i], axis]), upper[frame[i], axis])
             before[i, axis] = velocity[i, axis]
 
@@ -186,11 +190,12 @@ def _push(
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=FAST)
-def _add_viscosity(
+def _add_forces(
     frame: Any, place: Any, offset: Any, neighbor: Any, gradient: Any, total: Any, density: Any,
-    before: Any, viscosity: Any, step: Any, radius: float, pressure: Any, velocity: Any,
+    before: Any, viscosity: Any, gravity: Any, step: Any, radius: float, pressure: Any,
+    velocity: Any,
 ) -> None:  # fmt: skip
-    """Add viscosity between fluid particles and the push of pressures (N,) to velocities."""
+    """Add viscosity between fluid particles, gravity, and the push of pressures to velocities."""
     count, least = len(velocity), np.float32(0.01 * radius * radius)
     for chunk in prange((count + CHUNK - 1) // CHUNK):
         for i in range(chunk * CHUNK, min(count, (chunk + 1) * CHUNK)):
@@ -208,23 +213,9 @@ def _add_viscosity(
                     a += along * gradient[0, e]
                     b += along * gradient[1, e]
                     c += along * gradient[2, e]
-            velocity[i, 0] = u + factor * a
-            velocity[i, 1] = v + factor * b
-            velocity[i, 2] = w + factor * c
-            push_one(i, offset, neighbor, gradient, total, pressure, velocity)
-
-
-@njit(cache=True, parallel=True, error_model="numpy", fastmath=FAST)
-def _add_gravity(
-    frame: Any, offset: Any, neighbor: Any, gradient: Any, total: Any, gravity: Any, step: Any,
-    pressure: Any, velocity: Any,
-) -> None:  # fmt: skip
-    """Add gravity and the push of pressures (N,) to velocities (N, 3)."""
-    count = len(velocity)
-    for chunk in prange((count + CHUNK - 1) // CHUNK):
-        for i in range(chunk * CHUNK, min(count, (chunk + 1) * CHUNK)):
-            for axis in range(3):
-                velocity[i, axis] += step * gravity[frame[i], axis]
+            velocity[i, 0] = u + factor * a + step * gravity[frame[i], 0]
+            velocity[i, 1] = v + factor * b + step * gravity[frame[i], 1]
+            velocity[i, 2] = w + factor * c + step * gravity[frame[i], 2]
             push_one(i, offset, neighbor, gradient, total, pressure, velocity)
 
 

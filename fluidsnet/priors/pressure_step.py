@@ -30,15 +30,15 @@ class PressureStep(Prior):
 
     Neighbors are searched once or twice a step, at the place :math:`x + ½t·v` in the middle of the
     time t of a search. In each substep h the gradients :math:`V_j ∇W_{ij}` are taken at
-    :math:`x + ½h·v`, and then
+    :math:`x + bh·v`, and then, in the order of SPlisHSPlasH,
 
-    1. viscosity acts: :math:`v_i ← v_i + 10νh \sum_j \frac{V}{ρ_j/ρ_0}
-       \frac{v_{ij}·x_{ij}}{x_{ij}^2 + 0.01 r^2} ∇W_{ij}`;
-    2. pressures reduce the divergence, then, after gravity, divergence and excess density. A sweep
-       is :math:`p_i ← \max(p_i + ω α_i s_i, 0)` and :math:`v_i ← v_i - \sum_j V_j ∇W_{ij}
-       (Δp_i + Δp_j)`, with :math:`α_i = 1 / (|\sum_j V_j ∇W|^2 + \sum_j |V ∇W|^2 + 0.01/r^2)` and
-       :math:`s_i = D_i v`, in the second phase :math:`D_i v + (ρ_i/ρ_0 - 1) / h`. Each phase starts
-       from a share of its pressure in the last substep;
+    1. pressures reduce the divergence. A sweep is :math:`p_i ← \max(p_i + ω α_i D_i v, 0)` and
+       :math:`v_i ← v_i - \sum_j V_j ∇W_{ij} (Δp_i + Δp_j)`, with :math:`α_i = 1 / (|\sum_j V_j
+       ∇W|^2 + \sum_j |V ∇W|^2 + 0.01/r^2)`;
+    2. viscosity and gravity act: :math:`v_i ← v_i + 10νh \sum_j \frac{V}{ρ_j/ρ_0}
+       \frac{v_{ij}·x_{ij}}{x_{ij}^2 + 0.01 r^2} ∇W_{ij} + h·g`; then other pressures reduce
+       divergence and excess density, :math:`D_i v + (ρ_i/ρ_0 - 1) / h`, in the same way. Each phase
+       starts from a share of its pressure in the last substep;
     3. :math:`x ← x + h((1 - a) v_0 + a v)`, with a = (m + 1) / 2m, which is the displacement of m
        steps of symplectic Euler under a constant force; particles stop at the walls.
 
@@ -58,6 +58,7 @@ class PressureStep(Prior):
         relaxation: ω of the sweeps.
         warm_start: Share of the pressure that the next substep starts from.
         clearance: Distance from the walls at which particles stop, particle radii.
+        ahead: b, the share of a substep after which gradients are taken.
 
     Raises:
         UserError: An argument is out of range.
@@ -75,6 +76,7 @@ class PressureStep(Prior):
         relaxation: float = 0.6,
         warm_start: float = 0.8,
         clearance: float = 0.9,
+        ahead: float = 0.4,
     ) -> None:
         super().__init__()
         for name, value, least in (
@@ -85,6 +87,7 @@ class PressureStep(Prior):
             ("relaxation", relaxation, 0),
             ("warm_start", warm_start, 0),
             ("clearance", clearance, 0),
+            ("ahead", ahead, 0),
         ):
             if not least <= value < math.inf:
                 raise UserError(f"PressureStep: {name} is {value}; set at least {least}.")
@@ -93,7 +96,7 @@ class PressureStep(Prior):
         self.searches, self.substeps = searches, substeps
         self.sweeps, self.divergence_sweeps = sweeps, divergence_sweeps
         self.solver_step, self.relaxation = solver_step, relaxation
-        self.warm_start, self.clearance = warm_start, clearance
+        self.warm_start, self.clearance, self.ahead = warm_start, clearance, ahead
         self._search = Auto(NEIGHBORS)
         self._volumes: TensorCache[Tensor] = TensorCache()
         self._compiled = CompiledStep()
@@ -137,6 +140,7 @@ class PressureStep(Prior):
             volume=(2 * scene.particle_radius) ** 3,
             substep=substep,
             mean_weight=self.mean_weight(substep),
+            ahead=self.ahead,
             sweeps=self.sweeps,
             divergence_sweeps=self.divergence_sweeps,
             relaxation=self.relaxation,
@@ -173,14 +177,15 @@ class PressureStep(Prior):
         divergence = None
         for _ in range(self.substeps):
             before = velocity
-            at = edges.at(box.inside(position + step / 2 * velocity))
+            at = edges.at(box.inside(position + self.ahead * step * velocity))
             divergence = at.divergence(velocity) if divergence is None else divergence
             upkeep, pressure = self.warm_start * upkeep, self.warm_start * pressure
-            velocity = velocity + viscosity * at.viscous(velocity) - at.push(upkeep)
+            velocity = velocity - at.push(upkeep)
             for _ in range(self.divergence_sweeps):
                 raised = self._raised(at, upkeep, at.divergence(velocity))
                 velocity = velocity - at.push(raised - upkeep)
                 upkeep = raised
+            velocity = velocity + viscosity * at.viscous(velocity)
             velocity = velocity + step * gravity - at.push(pressure)
             for _ in range(self.sweeps):
                 rate = at.divergence(velocity) + (at.density - 1) / step
