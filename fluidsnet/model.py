@@ -135,7 +135,12 @@ class Model(nn.Module):
             )
 
     def guess(self, particles: Particles) -> Guess:
-        """Return the prior's step, described as far as the network needs it."""
+        """Return the prior's step, described as far as the network needs it.
+
+        Where nothing reads it, as in the paper's network, it is not computed: the state itself.
+        """
+        if not self.network.reads_guess:
+            return Guess(particles.position, particles.velocity)
         return self.prior.guess(particles, self.network.reads_description)
 
     def step(self, particles: Particles, global_feature: Tensor | None = None) -> Particles:

@@ -78,6 +78,11 @@ class Network(nn.Module):
         self.head = Perceptron(widths if target.width else ())
 
     @property
+    def reads_guess(self) -> bool:
+        """Return whether a block uses the prior's guess."""
+        return self.target.reads_guess or self.inputs.reads_guess or self.local.at_guess
+
+    @property
     def reads_description(self) -> bool:
         """Return whether a block needs neighbors and columns of the prior."""
         return self.target.width > 0 and (self.local.at_guess or self.inputs.reads_description)

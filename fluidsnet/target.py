@@ -33,10 +33,12 @@ class Target(nn.Module, ABC):
     Attributes:
         width: Number of columns of the output.
         gives_displacement: `decode` returns a displacement.
+        reads_guess: `decode` and `encode` use the prior's guess.
     """
 
     width: int
     gives_displacement: bool = False
+    reads_guess: bool = True
 
     @abstractmethod
     def set_statistics(self, statistics: Statistics) -> None:
@@ -73,6 +75,7 @@ class _Standardized(Target):
     """Base of targets of three columns with a mean and one deviation, m/s."""
 
     width = 3
+    reads_guess = False
 
     mean: Tensor
     deviation: Tensor

@@ -126,6 +126,17 @@ def test_blocks_that_read_the_prior_need_one_that_describes_itself() -> None:
         network((3, 3, 3), FreeFall())
 
 
+def test_a_guess_that_nothing_reads_is_not_computed(sample: Path) -> None:
+    source = data(sample)
+    source.setup("fit")
+    state = source._dataset("train", steps=1)[20].state
+    paper = Model(source.grid_shape, prior=PressureStep())
+    assert torch.equal(paper.guess(state).position, state.position)
+    assert not torch.equal(network(source.grid_shape).model.guess(state).position, state.position)
+    falling = Model(source.grid_shape, target=DisplacementTarget(), integrator=Displacement())
+    torch.testing.assert_close(falling.guess(state).position, FreeFall()(state).position)
+
+
 def test_the_prior_alone_has_nothing_to_train() -> None:
     model = Model((3, 3, 3), target=PriorAlone(), integrator=Displacement())
     assert model.is_trained

@@ -24,12 +24,14 @@ class InputFeature(nn.Module, ABC):
         sent_width: Number of columns of `sent`.
         relative_width: Number of leading columns of `sent` that a receiver may subtract its
             own from, such as the velocity.
+        reads_guess: `forward` uses the prior's guess.
         reads_description: The guess must have columns, see `Prior.describes`.
     """
 
     width: int
     sent_width: int
     relative_width: int
+    reads_guess: bool = True
     reads_description: bool = False
 
     @abstractmethod
@@ -68,6 +70,7 @@ class ParticleState(InputFeature):
     width = 7
     sent_width = 4
     relative_width = 3
+    reads_guess = False
 
     velocity_deviation: Tensor
 
