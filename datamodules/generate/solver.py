@@ -85,18 +85,7 @@ def simulate(job: Job, report: int) -> None:
     try:
         with tempfile.TemporaryDirectory(dir=output.parent) as scratch:
             folder = Path(scratch)
-            scene = folder / "scene.json"
-            scene.write_text(json.dumps(job.solver_scene(folder)))
-            base = solver.Exec.SimulatorBase()
-            options = dict.fromkeys(("useGui", "initialPause", "useCache"), False)
-            base.init(sceneFile=str(scene), outputDir=str(folder), stopAt=_NEVER, **options)
-            base.initSimulation()
-            # SPlisHSPlasH samples the walls in `runSimulation`. With its clock past the end it
-            # does that and no step, so that each step can be timed.
-            clock = solver.TimeManager.getCurrent()
-            clock.setTime(2 * _NEVER)
-            base.runSimulation()
-            clock.setTime(0.0)
+            base = start_solver(solver, job.solver_scene(folder), folder)
             with h5py.File(partial, "w") as file:
                 _header(job).write(file)
                 group = file.create_group("00000")
@@ -117,6 +106,29 @@ def simulate(job: Job, report: int) -> None:
         partial.replace(output)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def start_solver(solver: ModuleType, scene: dict[str, Any], folder: Path) -> Any:
+    """Start the solver on a scene; return its simulator, which is a singleton.
+
+    Args:
+        solver: Module of the solver.
+        scene: Scene in SPlisHSPlasH's format.
+        folder: Folder that the solver may write to.
+    """
+    path = folder / "scene.json"
+    path.write_text(json.dumps(scene))
+    base = solver.Exec.SimulatorBase()
+    options = dict.fromkeys(("useGui", "initialPause", "useCache"), False)
+    base.init(sceneFile=str(path), outputDir=str(folder), stopAt=_NEVER, **options)
+    base.initSimulation()
+    # SPlisHSPlasH samples the walls in `runSimulation`. With its clock past the end it does that
+    # and no step, so that each step can be timed.
+    clock = solver.TimeManager.getCurrent()
+    clock.setTime(2 * _NEVER)
+    base.runSimulation()
+    clock.setTime(0.0)
+    return base
 
 
 def _script(job: Job, solver: ModuleType, base: Any) -> Callable[[], None]:

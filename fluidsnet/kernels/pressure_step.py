@@ -58,6 +58,7 @@ class Numbers(NamedTuple):
     divergence_sweeps: int
     relaxation: float
     warm_start: float
+    divergence_warm_start: float
 
 
 class State(NamedTuple):
@@ -108,7 +109,7 @@ def pressure_step(
         )  # fmt: skip
         if substep == 0:
             _diverge(offset, neighbor, gradient, total, velocity, state.divergence)
-        upkeep *= np.float32(numbers.warm_start)
+        upkeep *= np.float32(numbers.divergence_warm_start)
         pressure *= np.float32(numbers.warm_start)
         _push(offset, neighbor, gradient, total, upkeep, velocity)
         for _ in range(numbers.divergence_sweeps):

@@ -38,7 +38,7 @@ class PressureStep(Prior):
     2. viscosity and gravity act: :math:`v_i ← v_i + 10νh \sum_j \frac{V}{ρ_j/ρ_0}
        \frac{v_{ij}·x_{ij}}{x_{ij}^2 + 0.01 r^2} ∇W_{ij} + h·g`; then other pressures reduce
        divergence and excess density, :math:`D_i v + (ρ_i/ρ_0 - 1) / h`, in the same way. Each phase
-       starts from a share of its pressure in the last substep;
+       starts from its own share of its pressure in the last substep;
     3. :math:`x ← x + h((1 - a) v_0 + a v)`, with a = (m + 1) / 2m, which is the displacement of m
        steps of symplectic Euler under a constant force; particles stop at the walls.
 
@@ -50,13 +50,15 @@ class PressureStep(Prior):
     Args:
         searches: Number of neighbor searches in a step.
         substeps: Number of substeps for each search; at a step of 20 ms and a particle radius of
-            25 mm, two of each.
+            25 mm, two searches of three substeps.
         sweeps: Sweeps over density in a substep.
         divergence_sweeps: Sweeps over divergence in a substep; none for data of IISPH, which
             solves for density alone.
         solver_step: Time step of the solver that made the data, s, which sets m.
         relaxation: ω of the sweeps.
-        warm_start: Share of the pressure that the next substep starts from.
+        warm_start: Share of the pressure of the sweeps over density that the next substep starts
+            from.
+        divergence_warm_start: The same of the sweeps over divergence.
         clearance: Distance from the walls at which particles stop, particle radii.
         ahead: b, the share of a substep after which gradients are taken.
 
@@ -69,14 +71,15 @@ class PressureStep(Prior):
     def __init__(
         self,
         searches: int = 2,
-        substeps: int = 2,
-        sweeps: int = 3,
-        divergence_sweeps: int = 2,
+        substeps: int = 3,
+        sweeps: int = 2,
+        divergence_sweeps: int = 1,
         solver_step: float = 0.0025,
         relaxation: float = 0.6,
-        warm_start: float = 0.8,
+        warm_start: float = 0.7,
+        divergence_warm_start: float = 0.4,
         clearance: float = 0.9,
-        ahead: float = 0.4,
+        ahead: float = 0.3,
     ) -> None:
         super().__init__()
         for name, value, least in (
@@ -86,6 +89,7 @@ class PressureStep(Prior):
             ("divergence_sweeps", divergence_sweeps, 0),
             ("relaxation", relaxation, 0),
             ("warm_start", warm_start, 0),
+            ("divergence_warm_start", divergence_warm_start, 0),
             ("clearance", clearance, 0),
             ("ahead", ahead, 0),
         ):
@@ -96,7 +100,8 @@ class PressureStep(Prior):
         self.searches, self.substeps = searches, substeps
         self.sweeps, self.divergence_sweeps = sweeps, divergence_sweeps
         self.solver_step, self.relaxation = solver_step, relaxation
-        self.warm_start, self.clearance, self.ahead = warm_start, clearance, ahead
+        self.warm_start, self.divergence_warm_start = warm_start, divergence_warm_start
+        self.clearance, self.ahead = clearance, ahead
         self._search = Auto(NEIGHBORS)
         self._volumes: TensorCache[Tensor] = TensorCache()
         self._compiled = CompiledStep()
@@ -145,6 +150,7 @@ class PressureStep(Prior):
             divergence_sweeps=self.divergence_sweeps,
             relaxation=self.relaxation,
             warm_start=self.warm_start,
+            divergence_warm_start=self.divergence_warm_start,
         )
         boxes = Boxes(*map(as_array, (lower, upper, scene.gravity, scene.viscosity)))
         return self._compiled(
@@ -179,7 +185,8 @@ class PressureStep(Prior):
             before = velocity
             at = edges.at(box.inside(position + self.ahead * step * velocity))
             divergence = at.divergence(velocity) if divergence is None else divergence
-            upkeep, pressure = self.warm_start * upkeep, self.warm_start * pressure
+            upkeep = self.divergence_warm_start * upkeep
+            pressure = self.warm_start * pressure
             velocity = velocity - at.push(upkeep)
             for _ in range(self.divergence_sweeps):
                 raised = self._raised(at, upkeep, at.divergence(velocity))

@@ -1,0 +1,1 @@
+"""Error against cost: models, their priors, and a solver that may be careless."""

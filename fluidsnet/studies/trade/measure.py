@@ -1,0 +1,120 @@
+"""Errors and cost of a point in one simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from statistics import fmean
+from typing import final
+
+import torch
+
+from datamodules.reader import FrameReader
+from fluidsnet.baselines import TRIVIAL_PREDICTORS
+from fluidsnet.metrics.suite import RolloutSuite
+from fluidsnet.particles import Particles
+from fluidsnet.studies.trade.options import TradeOptions
+from fluidsnet.studies.trade.points import Point, Runs
+
+#: What is measured of a rollout after some frames: name of the metric, and of the result.
+_ROLLOUT = {
+    "position_error_mm": "rollout_mm",
+    "chamfer_mm": "chamfer_mm",
+    "kinetic_energy": "energy_error",
+    "density_error": "density_error",
+    "escaped": "escaped",
+    "non_finite": "non_finite",
+}
+
+
+@final
+@dataclass(frozen=True)
+class Measured:
+    """Results of one simulation.
+
+    Attributes:
+        fluid: Number of fluid particles.
+        wall: Mean wall time for a frame, from true states, s.
+        cpu: Mean time of all cores for it, s.
+        values: Values by result and number of frames; NaN after frames that a point has no state
+            for.
+    """
+
+    fluid: int
+    wall: float
+    cpu: float
+    values: dict[str, dict[int, float]]
+
+
+@torch.no_grad()
+def measure(
+    point: Point,
+    reader: FrameReader,
+    simulation: str,
+    options: TradeOptions,
+    advance: Callable[[], None],
+) -> Measured:
+    """Continue true states of a simulation and measure what came out.
+
+    Args:
+        point: Point.
+        reader: Reader of the data file.
+        simulation: Name of the simulation.
+        options: What to measure.
+        advance: Called now and then meanwhile.
+    """
+    known = reader.frames[simulation] - 1
+    horizon, steps = min(options.horizon, known), min(options.steps, known)
+    short: Runs = [(first, horizon) for first in range(1, known - horizon + 1, options.every)]
+    runs: Runs = [*(short or [(0, horizon)]), (0, steps)]
+    device = torch.device("cpu")
+    near = RolloutSuite([0] * (len(runs) - 1), horizon, (), device)
+    far = RolloutSuite([0], steps, options.marks, device)
+    starts = [reader.state(simulation, first, 1) for first, _ in runs]
+
+    def add(run: int, frame: int, state: Particles) -> None:
+        start = starts[run]
+        true = start.moved(*reader.fluid(simulation, runs[run][0] + frame))
+        if run == len(runs) - 1:
+            far.update(0, frame, {"model": state}, true, start)
+        else:
+            trivial = {name: it(start, frame) for name, it in TRIVIAL_PREDICTORS.items()}
+            near.update(run, frame, {"model": state, **trivial}, true, start)
+
+    missing = {
+        (run, frame)
+        for run, (_, frames) in enumerate(runs)
+        for frame in range(point.stride, frames + 1, point.stride)
+    }
+    walls, cpus = [], []
+    for made in point.continued(reader, simulation, runs, advance):
+        missing.discard((made.run, made.frame))
+        add(made.run, made.frame, made.state)
+        if made.run < len(runs) - 1:
+            walls.append(made.wall)
+            cpus.append(made.cpu)
+    for run, frame in sorted(missing):
+        # The solver ended: its errors are infinite from there on.
+        lost = torch.full_like(starts[run].position, torch.nan)
+        add(run, frame, starts[run].moved(lost, lost))
+    errors, rolled = near.compute(), far.compute()["model"]
+    frames = range(1, horizon + 1)
+    values = {
+        "error_mm": _after(frames, errors["model"]["position_error_mm"]),
+        "skill": {frame: _skill(errors, frame) for frame in frames},
+    }
+    marks = [mark for mark in options.marks if mark <= steps]
+    values |= {result: _after(marks, rolled[metric]) for metric, result in _ROLLOUT.items()}
+    return Measured(len(starts[0]), fmean(walls), fmean(cpus), values)
+
+
+def _after(frames: list[int] | range, values: torch.Tensor) -> dict[int, float]:
+    return {frame: float(values[frame - 1]) for frame in frames}
+
+
+def _skill(errors: dict[str, dict[str, torch.Tensor]], frame: int) -> float:
+    """Return 1 less the error of the velocity over that of the better trivial predictor."""
+    own, *trivial = (
+        float(errors[name]["velocity_mse"][frame - 1]) for name in ("model", *TRIVIAL_PREDICTORS)
+    )
+    return 1 - own / min(trivial)

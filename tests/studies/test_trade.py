@@ -1,0 +1,203 @@
+"""The trade study: true states continued by the real solver and by priors, and its tables."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from datamodules.generate.box_drops import BoxDrops
+from datamodules.generate.dataset import generate
+from datamodules.generate.recipe import Recipe
+from datamodules.generate.replay import Replay, replay
+from datamodules.reader import FrameReader
+from fluidsnet.errors import UserError
+from fluidsnet.main import main
+from fluidsnet.studies.trade.measure import measure
+from fluidsnet.studies.trade.options import ModelPoint, SolverPoint, TradeOptions
+from fluidsnet.studies.trade.points import Continued, ModelSteps, Point, Runs, Solver
+
+PRIOR = Path(__file__).parents[2] / "configs" / "model" / "prior.yaml"
+CORRECTED = PRIOR.with_name("corrected.yaml")
+
+#: Coarse and small, for the solver.
+RECIPE = Recipe(
+    scene=BoxDrops(
+        width=(1.0, 1.2), height=(1.0, 1.0), depth=(0.8, 1.0), bodies=(2, 2), volume=(0.08, 0.12)
+    ),
+    particle_radius=0.04,
+    train=0,
+    val=0,
+    test=2,
+    frames=15,
+    frame_interval=0.02,
+    solver="DFSPH",
+)
+
+
+@pytest.fixture(scope="module")
+def drops(tmp_path_factory: pytest.TempPathFactory, real_solver: None) -> Path:
+    """The data file of two simulations."""
+    root = tmp_path_factory.mktemp("drops")
+    generate(RECIPE, root, processes=1)
+    return root / "test.h5"
+
+
+def nothing() -> None:
+    pass
+
+
+def test_the_datas_own_solver_continues_a_true_state_to_the_next(drops: Path) -> None:
+    reader = FrameReader(drops)
+    name = list(reader.frames)[1]
+    job = Replay(
+        data=str(drops), simulation=name, solver="DFSPH", solver_step=0.0025, tolerance=0.05,
+        threads=1, runs=[(8, 2), (2, 1), (0, 3)],
+    )  # fmt: skip
+    found = list(replay(job, nothing))
+    assert [(run, frame) for run, frame, _ in found] == [
+        *[(0, 1), (0, 2), (1, 1), (2, 1), (2, 2), (2, 3)]
+    ]
+    for run, frame, state in found:
+        first = job.runs[run][0]
+        position, velocity = reader.fluid(name, first + frame)
+        error = np.linalg.norm(state.position - position.numpy(), axis=1).mean()
+        before = reader.fluid(name, first)
+        kept = before[0] + 0.02 * frame * before[1]
+        assert error < 1.5e-4
+        assert error < 0.1 * (kept - position).norm(dim=1).mean()
+        assert np.abs(state.velocity - velocity.numpy()).mean() < 0.01
+        assert state.wall > 0 and state.cpu > 0
+
+
+def study(drops: Path, output: Path, solvers: list[Any], models: list[Any], *more: str) -> None:
+    main(
+        [
+            *("trade", f"--data={drops}", f"--output={output}", f"--solvers={json.dumps(solvers)}"),
+            *(f"--models={json.dumps(models)}", "--threads=1", "--every=5", "--horizon=4"),
+            *("--steps=12", "--marks=[6,12]", "--simulations=2", *more),
+        ]
+    )
+
+
+def table(output: Path) -> dict[tuple[str, str, int], list[float]]:
+    """Return values of all simulations by point, result and frames."""
+    values: dict[tuple[str, str, int], list[float]] = {}
+    with (output / "trade.csv").open() as file:
+        for row in csv.DictReader(file):
+            key = row["point"], row["result"], int(row["frames"])
+            values.setdefault(key, []).append(float(row["value"]))
+    return values
+
+
+def test_a_study(drops: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    solvers = [
+        {"solver": "DFSPH", "step": 0.0025, "tolerance": 0.05},
+        {"solver": "DFSPH", "step": 0.02, "tolerance": 1.0},
+    ]
+    models = [
+        {"model": str(PRIOR), "label": "prior"},
+        {"model": str(PRIOR), "label": "prior 40 ms", "stride": 2},
+    ]
+    study(drops, tmp_path, solvers, models[:1])
+    points = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "points").iterdir()}
+    assert len(points) == 5, points
+    # Goes on: what is finished is not measured again.
+    study(drops, tmp_path, solvers, models)
+    after = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "points").iterdir()}
+    assert len(after) == 6 and points.items() <= after.items()
+    values = table(tmp_path)
+    assert {len(it) for it in values.values()} == {2}
+    careful, careless = "DFSPH 2.5 ms, 0.05%", "DFSPH 20 ms, 1%"
+    for simulation in range(2):
+        errors = {
+            label: values[label, "error_mm", 1][simulation]
+            for label in (careful, careless, "prior", "constant velocity")
+        }
+        assert errors[careful] < 0.3 * errors["prior"]
+        assert errors["prior"] < errors[careless] < errors["constant velocity"]
+        assert values["constant velocity", "skill", 1][simulation] <= 0
+        assert values[careful, "skill", 1][simulation] > values["prior", "skill", 1][simulation]
+        assert values["prior", "skill", 1][simulation] > 0.8
+        # In the first frames the bodies only fall, which the prior knows exactly.
+        assert values["prior", "rollout_mm", 12][simulation] < 20
+        # A step of two frames has no state after one or three.
+        missing = [values["prior 40 ms", "error_mm", it][simulation] for it in range(1, 5)]
+        assert [math.isnan(it) for it in missing] == [True, False, True, False]
+    for label in (careful, careless, "prior", "prior 40 ms"):
+        assert min(values[label, "wall_s", 1]) > 0 and min(values[label, "cpu_s", 1]) > 0
+    assert values[careful, "cpu_s", 1] > values["prior", "cpu_s", 1]
+    text = (tmp_path / "trade.md").read_text()
+    assert text in capsys.readouterr().out
+    assert "truth: DFSPH with steps of 2.5 ms" in text and "prior 40 ms" in text
+
+
+class EndsEarly(Point):
+    """The truth, and nothing after two frames."""
+
+    label = "ends early"
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        return {}
+
+    def continued(
+        self, reader: FrameReader, simulation: str, runs: Runs, advance: Callable[[], None]
+    ) -> Iterator[Continued]:
+        for run, (first, frames) in enumerate(runs):
+            for frame in range(1, min(frames, 2) + 1):
+                state = reader.state(simulation, first + frame, 1)
+                yield Continued(run, frame, state, 1.0, 1.0)
+
+
+def test_a_solver_that_ends_early_has_infinite_errors_from_there(sample: Path) -> None:
+    reader = FrameReader(sample / "test.h5")
+    options = TradeOptions(horizon=4, steps=8, marks=[2, 8], every=10)
+    found = measure(EndsEarly(), reader, next(iter(reader.frames)), options, nothing)
+    assert found.values["error_mm"][2] == 0 and found.values["skill"][2] == 1
+    assert found.values["error_mm"][3] == math.inf
+    assert found.values["rollout_mm"] == {2: 0.0, 8: math.inf}
+    assert found.values["non_finite"] == {2: 0.0, 8: 1.0}
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ("--simulations=0", "--simulations is 0; it must be at least 1."),
+        ("--marks=[6,13]", "give frames from 1 to --steps, 12"),
+        ("--threads=1000", "--threads is 1000"),
+        ("--data=nowhere.h5", "nowhere.h5"),
+    ],
+)
+def test_options_that_cannot_be_used(
+    sample: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str, message: str
+) -> None:
+    with pytest.raises(SystemExit):
+        study(sample / "test.h5", tmp_path, [], [], option)
+    assert message in capsys.readouterr().err
+
+
+def test_points_that_cannot_be_measured(
+    sample: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = sample / "test.h5"
+    prior = {"model": str(PRIOR), "label": "same"}
+    for solvers, models, message in (
+        ([], [prior, prior], "Two points have the same label"),
+        ([], [{"model": str(CORRECTED)}], "describes a network without weights"),
+    ):
+        with pytest.raises(SystemExit):
+            study(data, tmp_path, solvers, models)
+        assert message in capsys.readouterr().err
+    reader = FrameReader(data)
+    with pytest.raises(UserError, match=r"step of 0.007 s does not divide the frame interval"):
+        Solver(SolverPoint("DFSPH", 0.007), data, 1)
+    with pytest.raises(UserError, match=r"step is 0; set it above zero"):
+        SolverPoint("DFSPH", 0)
+    assert ModelSteps(ModelPoint(str(PRIOR), 3), reader, 1).stride == 3
