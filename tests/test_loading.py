@@ -42,6 +42,17 @@ def test_an_old_run_predicts_what_it_did(sample: Path, device: torch.device) -> 
     assert torch.equal(states[1].position, model.step(after).position)
 
 
+def test_a_prior_alone_is_loaded_from_its_config(sample: Path, device: torch.device) -> None:
+    configs = Path(__file__).parents[1] / "configs" / "model"
+    model = fluidsnet.load(configs / "prior.yaml", device)
+    before = state(sample, device)
+    assert torch.equal(model.step(before).position, model.prior(before).position)
+    with pytest.raises(UserError, match=r"corrected.yaml describes a network without weights"):
+        fluidsnet.load(configs / "corrected.yaml")
+    with pytest.raises(UserError, match=r"missing.yaml holds no `model:`"):
+        fluidsnet.load("missing.yaml")
+
+
 def with_twins(grid_shape: tuple[int, int, int]) -> tuple[FluidsNet, list[Ablation]]:
     return FluidsNet(grid_shape), [
         Ablation("target", AccelerationTarget(), "acceleration"),

@@ -1,3 +1,3 @@
-"""Trained models, loaded from a run's folder."""
+"""Models, loaded from the folder of a run or the config of a prior alone."""
 
 from fluidsnet.models.loading import load as load

@@ -1,4 +1,4 @@
-"""Load a trained model from the folder of a run."""
+"""Load a trained model from the folder of a run, or a prior alone from its config file."""
 
 from __future__ import annotations
 
@@ -23,16 +23,31 @@ _TRAINING = ("optimizer", "schedule", "noise", "grid_shape")
 
 
 def load(run: str | Path, device: torch.device | str = "cpu") -> Model:
-    """Return the trained model of a run, in evaluation mode.
+    """Return a model in evaluation mode: that of a run, or a prior alone.
 
     Args:
-        run: Folder of a run, such as runs/demo, with config.yaml and checkpoints/best.ckpt.
+        run: Folder of a run, such as runs/demo, with config.yaml and checkpoints/best.ckpt; or
+            config file of a prior alone, such as configs/model/prior.yaml.
         device: Device of the model's weights.
 
     Raises:
-        UserError: A file is missing, or the checkpoint does not match the configuration.
+        UserError: A file is missing, the checkpoint does not match the configuration, or the
+            config file describes a network, whose weights it does not have.
     """
-    folder = Path(run)
+    path = Path(run)
+    model = _prior_alone(path) if path.suffix in (".yaml", ".yml") else _trained(path)
+    return model.eval().requires_grad_(False).to(device)
+
+
+def _prior_alone(config: Path) -> Model:
+    # Nothing of it depends on the grid.
+    model = build(config, (1, 1, 1)).model
+    if not model.is_trained:
+        raise UserError(f"{config} describes a network without weights; name the folder of a run.")
+    return model
+
+
+def _trained(folder: Path) -> Model:
     checkpoint = read_checkpoint(folder)
     module = build(folder / "config.yaml", tuple(checkpoint["hyper_parameters"]["grid_shape"]))
     module.on_load_checkpoint(checkpoint)
@@ -40,7 +55,7 @@ def load(run: str | Path, device: torch.device | str = "cpu") -> Model:
         module.load_state_dict(checkpoint["state_dict"])
     except RuntimeError as error:
         raise UserError(f"{folder}: the checkpoint does not fit config.yaml: {error}") from error
-    return module.model.eval().requires_grad_(False).to(device)
+    return module.model
 
 
 def checkpoint_path(folder: Path) -> Path:

@@ -17,9 +17,7 @@ from datamodules.generate.replay import Replay, replay
 from datamodules.reader import FrameReader
 from fluidsnet.baselines import TRIVIAL_PREDICTORS
 from fluidsnet.errors import UserError
-from fluidsnet.model import Model
 from fluidsnet.models import load
-from fluidsnet.models.loading import build
 from fluidsnet.particles import Particles
 from fluidsnet.studies.trade.options import ModelPoint, SolverPoint
 
@@ -146,7 +144,7 @@ class ModelSteps(Point):
 
     def __init__(self, point: ModelPoint, reader: FrameReader, threads: int) -> None:
         self.label = point.label or point.model
-        self._point, self._threads, self._model = point, threads, _load(point.model)
+        self._point, self._threads, self._model = point, threads, load(point.model)
         self.stride = point.stride
         if trained := float(self._model.time_step):
             self.stride = round(trained / reader.header.dt)
@@ -159,11 +157,11 @@ class ModelSteps(Point):
     @property
     def settings(self) -> dict[str, Any]:
         described: Any
-        if _is_config(self._point.model):
-            described = Path(self._point.model).read_text(encoding="utf-8")
-        else:
+        if float(self._model.time_step):
             # Weights and buffers: a run can be trained anew in its folder.
             described = [float(it.double().sum()) for it in self._model.state_dict().values()]
+        else:
+            described = Path(self._point.model).read_text(encoding="utf-8")
         return {**asdict(self._point), "threads": self._threads, "described": described}
 
     @torch.no_grad()
@@ -181,21 +179,6 @@ class ModelSteps(Point):
                 wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
                 yield Continued(run, frame, state, wall / self.stride, cpu / self.stride)
             advance()
-
-
-def _is_config(name: str) -> bool:
-    return name.endswith((".yaml", ".yml"))
-
-
-def _load(name: str) -> Model:
-    """Return a trained model, or one that is its prior alone."""
-    if not _is_config(name):
-        return load(name)
-    # The grid has no meaning where there is no network.
-    model = build(Path(name), (1, 1, 1)).model.eval()
-    if not model.is_trained:
-        raise UserError(f"{name} describes a network without weights; name the folder of a run.")
-    return model
 
 
 def check_drawn(data: Path, simulation: str) -> None:

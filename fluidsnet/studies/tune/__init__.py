@@ -1,0 +1,1 @@
+"""Fit the numbers of a prior to data."""
