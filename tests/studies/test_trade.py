@@ -135,13 +135,14 @@ def test_a_study(drops: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert values[careful, "cpu_s", 1] > values["prior", "cpu_s", 1]
     text = (tmp_path / "trade.md").read_text()
     assert text in capsys.readouterr().out
+    assert (tmp_path / "trade.png").stat().st_size > 10_000
     assert "truth: DFSPH with steps of 2.5 ms" in text and "prior 40 ms" in text
 
 
 class EndsEarly(Point):
     """The truth, and nothing after two frames."""
 
-    label = "ends early"
+    label, kind = "ends early", "solver"
 
     @property
     def settings(self) -> dict[str, Any]:

@@ -17,10 +17,11 @@ from fluidsnet.errors import UserError
 from fluidsnet.progress import Progress
 from fluidsnet.studies.machine import BUSY, OtherLoad, cpu_model, versions
 from fluidsnet.studies.parser import study_parser
+from fluidsnet.studies.trade.figure import draw
 from fluidsnet.studies.trade.measure import Measured, measure
 from fluidsnet.studies.trade.options import TradeOptions
 from fluidsnet.studies.trade.points import ModelSteps, Point, Solver, Trivial, check_drawn
-from fluidsnet.studies.trade.report import Results, write_report
+from fluidsnet.studies.trade.report import NEAR, Results, write_report
 
 #: Options that change what is measured of a point.
 _MEASURE = ("simulations", "every", "horizon", "steps", "marks")
@@ -46,7 +47,7 @@ def trade_command(arguments: list[str]) -> None:
     study = Study(TradeOptions(**parsed))
     study.run()
     print(study.write())
-    print(f"Written to {study.folder}: trade.md and trade.csv.")
+    print(f"Written to {study.folder}: trade.md, trade.csv and trade.png.")
 
 
 class Study:
@@ -81,7 +82,7 @@ class Study:
             raise UserError("Two points have the same label; give one another `label`.")
 
     def run(self) -> None:
-        """Measure the points that are not finished yet."""
+        """Measure the points that are not finished yet; write the tables after each."""
         count = len(self.points) * len(self._simulations)
         with Progress(total=count, unit="simulation") as bar:
             for point in self.points:
@@ -90,7 +91,7 @@ class Study:
                 self.write()
 
     def write(self) -> str:
-        """Write the tables and return the Markdown."""
+        """Write tables and figure; return the Markdown."""
         options, header = self.options, self._reader.header
         notes = [
             f"{datetime.now():%Y-%m-%d}, {cpu_model()}, {options.threads} threads; {versions()}",
@@ -98,6 +99,17 @@ class Study:
             f"particles on average, a frame each {1000 * header.dt:g} ms; truth: {header.solver} "
             f"with steps of {1000 * header.solver_parameters.get('timeStepSize', 0):g} ms",
         ]
+        # The fewest frames after which all points have a state.
+        strides = {point.stride for point in self.points}
+        shared = [frame for frame in NEAR if all(frame % stride == 0 for stride in strides)]
+        kinds = {point.label: point.kind for point in self.points}
+        draw(
+            self.folder / "trade.png",
+            kinds,
+            self.results,
+            min(shared, default=options.horizon),
+            max(options.marks),
+        )
         return write_report(self.folder, notes, options, self.results)
 
     def _particles(self) -> str:

@@ -91,7 +91,7 @@ class TradeOptions:
                 raise UserError(f"--{name} is {getattr(self, name)}; it must be at least 1.")
         if not 1 <= self.threads <= cores():
             raise UserError(f"--threads is {self.threads}; this process can use {cores()} cores.")
-        if any(not 1 <= mark <= self.steps for mark in self.marks):
+        if not self.marks or any(not 1 <= mark <= self.steps for mark in self.marks):
             raise UserError(
                 f"--marks is {self.marks}; give frames from 1 to --steps, {self.steps}."
             )

@@ -50,10 +50,12 @@ class Point(ABC):
 
     Attributes:
         label: Name in the tables.
+        kind: What it is, for the figure: trivial, solver, prior alone or network.
         stride: Frames from one state to the next.
     """
 
     label: str
+    kind: str
     stride: int = 1
 
     @property
@@ -79,6 +81,8 @@ class Point(ABC):
 class Trivial(Point):
     """A trivial predictor."""
 
+    kind = "trivial"
+
     def __init__(self, name: str) -> None:
         self.label = name.replace("_", " ")
         self._predict = TRIVIAL_PREDICTORS[name]
@@ -99,6 +103,8 @@ class Trivial(Point):
 @final
 class Solver(Point):
     """The solver, restarted from true states."""
+
+    kind = "solver"
 
     def __init__(self, point: SolverPoint, data: Path, threads: int) -> None:
         self.label, self._point, self._data, self._threads = point.label, point, data, threads
@@ -145,9 +151,9 @@ class ModelSteps(Point):
     def __init__(self, point: ModelPoint, reader: FrameReader, threads: int) -> None:
         self.label = point.label or point.model
         self._point, self._threads, self._model = point, threads, load(point.model)
-        self.stride = point.stride
+        self.stride, self.kind = point.stride, "prior alone"
         if trained := float(self._model.time_step):
-            self.stride = round(trained / reader.header.dt)
+            self.stride, self.kind = round(trained / reader.header.dt), "network"
             if abs(self.stride * reader.header.dt - trained) > 1e-6 * trained or not self.stride:
                 raise UserError(
                     f"{point.model} was trained at a time step of {trained:g} s, which is no "
@@ -157,7 +163,7 @@ class ModelSteps(Point):
     @property
     def settings(self) -> dict[str, Any]:
         described: Any
-        if float(self._model.time_step):
+        if self.kind == "network":
             # Weights and buffers: a run can be trained anew in its folder.
             described = [float(it.double().sum()) for it in self._model.state_dict().values()]
         else:

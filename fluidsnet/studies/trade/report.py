@@ -12,7 +12,7 @@ from fluidsnet.studies.trade.measure import Measured
 from fluidsnet.studies.trade.options import TradeOptions
 
 #: Frames after which errors from true states are printed.
-_NEAR = (1, 2, 4, 8)
+NEAR = (1, 2, 4, 8)
 #: Header, result and factor of what is printed of a rollout at its last mark.
 _FAR = (
     ("chamfer mm", "chamfer_mm", 1.0),
@@ -45,7 +45,7 @@ def write_report(
     ]
     header = ("point", "simulation", "fluid particles", "result", "frames", "value")
     write_csv(folder / "trade.csv", header, rows)
-    near = [frame for frame in _NEAR if frame <= options.horizon]
+    near = [frame for frame in NEAR if frame <= options.horizon]
     marks = sorted(options.marks)
     table = markdown(
         (
