@@ -132,7 +132,6 @@ def test_a_study(drops: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
         assert [math.isnan(it) for it in missing] == [True, False, True, False]
     for label in (careful, careless, "prior", "prior 40 ms"):
         assert min(values[label, "wall_s", 1]) > 0 and min(values[label, "cpu_s", 1]) > 0
-    assert values[careful, "cpu_s", 1] > values["prior", "cpu_s", 1]
     text = (tmp_path / "trade.md").read_text()
     assert text in capsys.readouterr().out
     assert (tmp_path / "trade.png").stat().st_size > 10_000
