@@ -288,7 +288,7 @@ def test_the_demo_trains_as_it_is_composed(run: Run, tmp_path: Path) -> None:
     demo = yaml.safe_load((CONFIGS / "demo.yaml").read_text())
     assert written["trainer"]["gradient_clip_val"] == demo["trainer"]["gradient_clip_val"]
     prior = written["model"]["init_args"]["prior"]["init_args"]
-    assert (prior["divergence_sweeps"], prior["sweeps"]) == (0, 4)
+    assert (prior["divergence_sweeps"], prior["sweeps"], prior["substeps"]) == (0, 4, 2)
 
 
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")

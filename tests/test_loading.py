@@ -19,6 +19,7 @@ from fluidsnet.checkpoint_migration import migrate
 from fluidsnet.errors import UserError
 from fluidsnet.features import NoGlobalFeature, VoxelField
 from fluidsnet.particles import Particles
+from fluidsnet.priors import PressureStep
 from fluidsnet.rollout import rollout
 from fluidsnet.target import AccelerationTarget, DisplacementTarget
 
@@ -47,6 +48,14 @@ def test_a_prior_alone_is_loaded_from_its_config(sample: Path, device: torch.dev
     model = fluidsnet.load(configs / "prior.yaml", device)
     before = state(sample, device)
     assert torch.equal(model.step(before).position, model.prior(before).position)
+    # Arguments of the prior in place of the config's, checked as there.
+    coarse = fluidsnet.load(configs / "prior.yaml", device, prior={"searches": 1, "substeps": 2})
+    expected = PressureStep(searches=1, substeps=2).to(device)(before)
+    assert torch.equal(coarse.step(before).position, expected.position)
+    with pytest.raises(UserError, match=r"searches is 0; set at least 1"):
+        fluidsnet.load(configs / "prior.yaml", prior={"searches": 0})
+    with pytest.raises(UserError, match=r"the prior of a trained network cannot be changed"):
+        fluidsnet.load(OLD, prior={"searches": 1})
     with pytest.raises(UserError, match=r"corrected.yaml describes a network without weights"):
         fluidsnet.load(configs / "corrected.yaml")
     with pytest.raises(UserError, match=r"missing.yaml holds no `model:`"):

@@ -14,6 +14,7 @@ RUN = Path("runs") / "demo"
 OF_IISPH = (
     "--model.init_args.prior.init_args.divergence_sweeps=0",
     "--model.init_args.prior.init_args.sweeps=4",
+    "--model.init_args.prior.init_args.substeps=2",
 )
 
 

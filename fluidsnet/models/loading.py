@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -22,26 +23,39 @@ from fluidsnet.module import FluidsNet
 _TRAINING = ("optimizer", "schedule", "noise", "grid_shape")
 
 
-def load(run: str | Path, device: torch.device | str = "cpu") -> Model:
+def load(
+    run: str | Path,
+    device: torch.device | str = "cpu",
+    prior: Mapping[str, Any] | None = None,
+) -> Model:
     """Return a model in evaluation mode: that of a run, or a prior alone.
 
     Args:
         run: Folder of a run, such as runs/demo, with config.yaml and checkpoints/best.ckpt; or
             config file of a prior alone, such as configs/model/prior.yaml.
         device: Device of the model's weights.
+        prior: Arguments of the prior in place of those of the config, such as
+            ``{"searches": 1}``; only of a prior alone, since a network corrects the one it was
+            trained with.
 
     Raises:
-        UserError: A file is missing, the checkpoint does not match the configuration, or the
-            config file describes a network, whose weights it does not have.
+        UserError: A file is missing, the checkpoint does not match the configuration, the config
+            file describes a network, whose weights it does not have, or the prior of a network
+            is to be changed.
     """
     path = Path(run)
-    model = _prior_alone(path) if path.suffix in (".yaml", ".yml") else _trained(path)
+    if path.suffix in (".yaml", ".yml"):
+        model = _prior_alone(path, prior or {})
+    elif prior:
+        raise UserError(f"{path}: the prior of a trained network cannot be changed.")
+    else:
+        model = _trained(path)
     return model.eval().requires_grad_(False).to(device)
 
 
-def _prior_alone(config: Path) -> Model:
+def _prior_alone(config: Path, prior: Mapping[str, Any]) -> Model:
     # Nothing of it depends on the grid.
-    model = build(config, (1, 1, 1)).model
+    model = build(config, (1, 1, 1), prior).model
     if not model.is_trained:
         raise UserError(f"{config} describes a network without weights; name the folder of a run.")
     return model
@@ -87,12 +101,13 @@ def read_checkpoint(folder: Path) -> dict[str, Any]:
     return checkpoint
 
 
-def build(config: Path, grid_shape: GridShape) -> FluidsNet:
+def build(config: Path, grid_shape: GridShape, prior: Mapping[str, Any] | None = None) -> FluidsNet:
     """Build an untrained module from the ``model:`` of a config file.
 
     Args:
         config: Such as configs/model/field.yaml or a run's config.yaml.
         grid_shape: Number of cells of the background grid along x, y and z.
+        prior: Arguments of the prior in place of those of the config.
 
     Raises:
         UserError: The file cannot be read or describes no FluidsNet.
@@ -106,6 +121,10 @@ def build(config: Path, grid_shape: GridShape) -> FluidsNet:
     settings = with_current_names(dict(described.get("init_args") or {}))
     for name in _TRAINING:
         settings.pop(name, None)
+    if prior:
+        described_prior = dict(settings.get("prior") or {})
+        given = dict(described_prior.get("init_args") or {})
+        settings["prior"] = {**described_prior, "init_args": {**given, **prior}}
     parser = ArgumentParser(exit_on_error=False)
     parser.add_subclass_arguments(FluidsNet, "model")
     try:

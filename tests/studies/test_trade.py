@@ -19,6 +19,7 @@ from datamodules.generate.replay import Replay, replay
 from datamodules.reader import FrameReader
 from fluidsnet.errors import UserError
 from fluidsnet.main import main
+from fluidsnet.studies.parser import study_parser
 from fluidsnet.studies.trade.measure import measure
 from fluidsnet.studies.trade.options import ModelPoint, SolverPoint, TradeOptions
 from fluidsnet.studies.trade.points import Continued, ModelSteps, Point, Runs, Solver
@@ -136,6 +137,17 @@ def test_a_study(drops: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert text in capsys.readouterr().out
     assert (tmp_path / "trade.png").stat().st_size > 10_000
     assert "truth: DFSPH with steps of 2.5 ms" in text and "prior 40 ms" in text
+
+
+def test_the_points_of_the_config_can_be_built(sample: Path) -> None:
+    parser = study_parser("trade", "", TradeOptions)
+    config = PRIOR.parents[1] / "study" / "trade.yaml"
+    parsed = vars(parser.instantiate(parser.parse_args([f"--config={config}"])))
+    parsed.pop("config")
+    reader = FrameReader(sample / "test.h5")
+    points = [ModelSteps(point, reader, 1) for point in TradeOptions(**parsed).models]
+    assert {point.stride for point in points} == {1, 2, 4}
+    assert len({json.dumps(point.settings) for point in points}) == len(points) > 10
 
 
 class EndsEarly(Point):

@@ -150,7 +150,11 @@ class ModelSteps(Point):
 
     def __init__(self, point: ModelPoint, reader: FrameReader, threads: int) -> None:
         self.label = point.label or point.model
-        self._point, self._threads, self._model = point, threads, load(point.model)
+        self._point, self._threads, self._model = (
+            point,
+            threads,
+            load(point.model, prior=point.prior),
+        )
         self.stride, self.kind = point.stride, "prior alone"
         if trained := float(self._model.time_step):
             self.stride, self.kind = round(trained / reader.header.dt), "network"
