@@ -6,14 +6,18 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 from statistics import fmean
+from typing import Any
 
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from fluidsnet.studies.trade.measure import Measured
 
 #: Color and marker of each kind of point.
 _LOOKS = {"solver": ("black", "s"), "prior alone": ("C0", "o"), "network": ("C3", "^")}
+_POINT: dict[str, Any] = {"markersize": 5, "capsize": 2, "linewidth": 1}
+_NUMBER: dict[str, Any] = {"textcoords": "offset points", "fontsize": 8}
 
 
 def draw(
@@ -35,43 +39,34 @@ def draw(
     shown = {label: list(it.values()) for label, it in results.items() if kinds[label] in _LOOKS}
     if not shown:
         return
-    figure = Figure(figsize=(11.0, 5.0), layout="constrained")
+    figure = Figure(figsize=(12.0, 5.0), layout="constrained")
+    left, right, names = figure.subplots(1, 3, width_ratios=(4, 4, 2))
     panels = (
-        ("error_mm", frames, 1.0, f"error {frames} frames from true states, mm"),
-        ("rollout_mm", mark, 1e-3, f"error of a rollout after {mark} frames, m"),
+        (left, "error_mm", frames, 1.0, f"error {frames} frames from true states, mm"),
+        (right, "rollout_mm", mark, 1e-3, f"error of a rollout after {mark} frames, m"),
     )
-    for axes, (result, after, factor, title) in zip(figure.subplots(1, 2), panels, strict=True):
-        named = set()
-        for label, measured in shown.items():
-            cost = 1000 * fmean(it.cpu for it in measured)
+    for number, (label, measured) in enumerate(shown.items(), start=1):
+        color, marker = _LOOKS[kinds[label]]
+        cost = 1000 * fmean(it.cpu for it in measured)
+        for axes, result, after, factor, _ in panels:
             errors = [factor * it.values[result].get(after, math.nan) for it in measured]
             if not all(map(math.isfinite, errors)):
                 continue
-            kind = kinds[label]
-            color, marker = _LOOKS[kind]
             mean = fmean(errors)
-            axes.errorbar(
-                [cost],
-                [mean],
-                yerr=[[mean - min(errors)], [max(errors) - mean]],
-                color=color,
-                marker=marker,
-                markersize=5,
-                capsize=2,
-                linewidth=1,
-                linestyle="",
-                label=None if kind in named else kind,
-            )
-            named.add(kind)
-            axes.annotate(
-                label, (cost, mean), (5, 3), textcoords="offset points", fontsize=7, color=color
-            )
+            spread = [[mean - min(errors)], [max(errors) - mean]]
+            axes.errorbar([cost], [mean], yerr=spread, color=color, marker=marker, **_POINT)
+            axes.annotate(str(number), (cost, mean), (5, 3), color=color, **_NUMBER)
+        place = (0.0, 1.0 - number / (len(shown) + 1))
+        names.annotate(f"{number}  {label}", place, color=color, fontsize=8)
+    names.set_axis_off()
+    for axes, _, _, _, title in panels:
         axes.set(xscale="log", yscale="log", xlabel="CPU ms a frame", ylabel=title)
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axis.set_major_formatter("{x:g}")
             axis.set_minor_formatter(NullFormatter())
-        axes.margins(x=0.15)
         axes.grid(which="both", alpha=0.25)
-        axes.legend(fontsize="small")
+    present = {kind: look for kind, look in _LOOKS.items() if kind in map(kinds.get, shown)}
+    handles = [Line2D([], [], color=color, marker=it, ls="") for color, it in present.values()]
+    left.legend(handles, present, fontsize="small")
     figure.savefig(path, dpi=120)
