@@ -76,10 +76,10 @@ class PressureStep(Prior):
         divergence_sweeps: int = 1,
         solver_step: float = 0.0025,
         relaxation: float = 0.6,
-        warm_start: float = 0.7,
-        divergence_warm_start: float = 0.4,
+        warm_start: float = 0.5,
+        divergence_warm_start: float = 0.5,
         clearance: float = 0.9,
-        ahead: float = 0.3,
+        ahead: float = 0.2,
     ) -> None:
         super().__init__()
         for name, value, least in (
