@@ -19,6 +19,7 @@ from datamodules.generate.replay import Replay, replay
 from datamodules.reader import FrameReader
 from fluidsnet.errors import UserError
 from fluidsnet.main import main
+from fluidsnet.priors import PressureStep
 from fluidsnet.studies.parser import study_parser
 from fluidsnet.studies.trade.measure import measure
 from fluidsnet.studies.trade.options import ModelPoint, SolverPoint, TradeOptions
@@ -148,6 +149,9 @@ def test_the_points_of_the_config_can_be_built(sample: Path) -> None:
     points = [ModelSteps(point, reader, 1) for point in TradeOptions(**parsed).models]
     assert {point.stride for point in points} == {1, 2, 4}
     assert len({json.dumps(point.settings) for point in points}) == len(points) > 10
+    # Results of other defaults are not those of this prior.
+    prior = points[0].settings["described"]["prior"]
+    assert (prior["searches"], prior["relaxation"]) == (1, PressureStep().relaxation)
 
 
 class EndsEarly(Point):

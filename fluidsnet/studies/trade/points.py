@@ -171,7 +171,12 @@ class ModelSteps(Point):
             # Weights and buffers: a run can be trained anew in its folder.
             described = [float(it.double().sum()) for it in self._model.state_dict().values()]
         else:
-            described = Path(self._point.model).read_text(encoding="utf-8")
+            # Its numbers, too: the config leaves some to their defaults.
+            prior = vars(self._model.prior).items()
+            described = {
+                "config": Path(self._point.model).read_text(encoding="utf-8"),
+                "prior": {name: it for name, it in prior if isinstance(it, int | float)},
+            }
         return {**asdict(self._point), "threads": self._threads, "described": described}
 
     @torch.no_grad()
