@@ -33,7 +33,7 @@ Array = NDArray[np.float32]
 @final
 @dataclass(frozen=True, kw_only=True)
 class Replay:
-    """What to continue: each start frame for a few frames.
+    """True states to continue: each start frame for a few frames.
 
     Attributes:
         data: Data file of a scene that `fluidsnet generate` drew.

@@ -46,7 +46,7 @@ def trade_command(arguments: list[str]) -> None:
     parsed.pop("config")
     study = Study(TradeOptions(**parsed))
     study.run()
-    print(study.write())
+    print((study.folder / "trade.md").read_text(encoding="utf-8"))
     print(f"Written to {study.folder}: trade.md, trade.csv and trade.png.")
 
 
@@ -90,8 +90,8 @@ class Study:
                 self.results[point.label] = self._measured(point, bar)
                 self.write()
 
-    def write(self) -> str:
-        """Write tables and figure; return the Markdown."""
+    def write(self) -> None:
+        """Write tables and figure."""
         options, header = self.options, self._reader.header
         notes = [
             f"{datetime.now():%Y-%m-%d}, {cpu_model()}, {options.threads} threads; {versions()}",
@@ -110,7 +110,7 @@ class Study:
             min(shared, default=options.horizon),
             max(options.marks),
         )
-        return write_report(self.folder, notes, options, self.results)
+        write_report(self.folder, notes, options, self.results)
 
     def _particles(self) -> str:
         counts = [it.fluid for measured in self.results.values() for it in measured.values()]

@@ -1,4 +1,4 @@
-"""Points of the trade study: what continues true states, and what that costs."""
+"""Points of the trade study: ways to continue true states, with their cost."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Point(ABC):
 
     Attributes:
         label: Name in the tables.
-        kind: What it is, for the figure: trivial, solver, prior alone or network.
+        kind: Kind, for the figure: trivial, solver, prior alone or network.
         stride: Frames from one state to the next.
     """
 
@@ -61,7 +61,7 @@ class Point(ABC):
     @property
     @abstractmethod
     def settings(self) -> dict[str, Any]:
-        """What the results depend on, as JSON values."""
+        """Settings that the results depend on, as JSON values."""
 
     @abstractmethod
     def continued(

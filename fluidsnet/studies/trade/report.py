@@ -27,8 +27,8 @@ Results = dict[str, Measured]
 
 def write_report(
     folder: Path, notes: Sequence[str], options: TradeOptions, results: dict[str, Results]
-) -> str:
-    """Write trade.md and trade.csv; return the Markdown.
+) -> None:
+    """Write trade.md and trade.csv.
 
     Args:
         folder: Folder of the study.
@@ -59,7 +59,6 @@ def write_report(
     )
     text = "\n\n".join(["# Error against cost", *notes, _EXPLANATION, table])
     (folder / "trade.md").write_text(text, encoding="utf-8")
-    return text
 
 
 _EXPLANATION = (

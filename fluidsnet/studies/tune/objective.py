@@ -1,4 +1,4 @@
-"""How far a model's steps are from true states, as one number."""
+"""Errors of a model's steps from true states, and their score."""
 
 from __future__ import annotations
 
