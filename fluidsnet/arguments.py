@@ -6,18 +6,24 @@ import os
 from argparse import ArgumentParser
 from itertools import count
 from pathlib import Path
+from shutil import copyfile
 from typing import Any
 
 import yaml
 
 from fluidsnet.errors import UserError
-from fluidsnet.models.loading import checkpoint_path
+from fluidsnet.models.loading import checkpoint_path, config_path, has_weights
+from fluidsnet.models.shipped import is_shipped, run_path, shipped_models
+
+#: Folder in which shipped models get the folder of a run.
+RUNS = Path("runs")
 
 
 def with_run(arguments: list[str]) -> list[str]:
-    """Replace ``--run FOLDER`` by the config and the best checkpoint in that folder.
+    """Replace ``--run RUN`` by the config and the best checkpoint in that folder.
 
-    Results are then written to the same folder.
+    Results are then written to the same folder, and those of a shipped model to ``runs/<name>``.
+    A prior alone has no checkpoint.
 
     Raises:
         UserError: The folder lacks a config or a checkpoint, or the command is ``fit``.
@@ -28,20 +34,25 @@ def with_run(arguments: list[str]) -> list[str]:
     if parsed.run is None:
         return arguments
     if not parsed.run:
-        raise UserError("--run needs the folder of a run, such as runs/demo.")
+        raise UserError(
+            "--run needs the folder of a run, such as runs/demo, or the name of a shipped model: "
+            f"{', '.join(shipped_models())}."
+        )
     if rest[0] == "fit":
         raise UserError("--run names a run to test or predict with; fit takes --config.")
-    folder = Path(parsed.run)
-    config = folder / "config.yaml"
-    if not config.exists():
-        raise UserError(f"{folder} is not the folder of a run: {config} is missing.")
-    checkpoint = checkpoint_path(folder)
+    source, config = run_path(parsed.run), config_path(parsed.run)
+    folder = RUNS / source.name if is_shipped(parsed.run) else source
+    weights = [f"--ckpt_path={checkpoint_path(source)}"] if has_weights(source) else []
+    if folder != source:
+        # Makes it the folder of a run, for the report.
+        folder.mkdir(parents=True, exist_ok=True)
+        copyfile(config, folder / config.name)
     _keep_metrics(folder)
     logger, resolved = "--trainer.logger.init_args", folder.resolve()
     return [
         rest[0],
         f"--config={config}",
-        f"--ckpt_path={checkpoint}",
+        *weights,
         f"{logger}.save_dir={resolved.parent}",
         f"{logger}.name={resolved.name}",
         f"{logger}.version=",

@@ -35,7 +35,9 @@ examples:
                 --config configs/data/sample.yaml
   fluidsnet test --run runs/fluidsnet/version_0
 
-validate, test and predict take the folder of a run (--run) instead of --config and --ckpt_path.
+validate, test and predict take the folder of a run (--run) instead of --config and --ckpt_path,
+or the name of a model that ships with the package: box_drops, box_drops_40ms, box_drops_80ms,
+cuboid_basin_small, dam_break_small, drop_pool_small. `--run box_drops` writes to runs/box_drops.
 `fluidsnet <command> --help` lists the options of a command.
 """
 

@@ -89,7 +89,8 @@ class Model(nn.Module):
         self.walls = walls or OpenWalls()
         self.noise = noise
         # Part of the checkpoint: a network is valid for the time step it was trained at.
-        self.register_buffer("time_step", torch.zeros((), dtype=torch.float64))
+        step = torch.tensor(self.network.target.time_step, dtype=torch.float64)
+        self.register_buffer("time_step", step)
         if self.integrator.needs_displacement and not self.network.target.gives_displacement:
             raise UserError(
                 f"The integrator {type(self.integrator).__name__} needs a target that predicts "
@@ -168,15 +169,16 @@ class Model(nn.Module):
             scenes.check_one_box(type(feature).__name__)
 
     def check_time_step(self, time_step: float) -> None:
-        """Check that the model was trained at a time step, s; an untrained model takes any.
+        """Check that the model is for a time step, s; one without a step of its own takes any.
 
         Raises:
-            UserError: It was trained at another one.
+            UserError: It was trained at another one, or its prior is set for another one.
         """
         trained = float(self.time_step)
         if trained and abs(trained - time_step) > 1e-6 * trained:
+            made = "network was trained at" if self.network.target.width else "prior is set for"
             raise UserError(
-                f"This network was trained at a time step of {trained:g} s, and the data are "
+                f"This {made} a time step of {trained:g} s, and the data are "
                 f"stepped by {time_step:g} s; set data.stride so that the two agree."
             )
 

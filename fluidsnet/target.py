@@ -9,6 +9,7 @@ from typing import final
 import torch
 from torch import Tensor, nn
 
+from fluidsnet.errors import UserError
 from fluidsnet.particles import Particles
 from fluidsnet.priors.prior import Guess
 from fluidsnet.statistics import Residuals, Statistics
@@ -34,9 +35,11 @@ class Target(nn.Module, ABC):
         width: Number of columns of the output.
         gives_displacement: `decode` returns a displacement.
         reads_guess: `decode` and `encode` use the prior's guess.
+        time_step: Time step that the model is for, s; 0 until training sets it, or for any.
     """
 
     width: int
+    time_step: float = 0.0
     gives_displacement: bool = False
     reads_guess: bool = True
 
@@ -167,10 +170,23 @@ class DisplacementTarget(Target):
 
 @final
 class PriorAlone(Target):
-    """No correction: the prior's step is the model's, which has no weights."""
+    """No correction: the prior's step is the model's, which has no weights.
+
+    Args:
+        time_step: Time step that the prior's numbers are for, s; None for any.
+
+    Raises:
+        UserError: The time step is not above zero.
+    """
 
     width = 0
     gives_displacement = True
+
+    def __init__(self, time_step: float | None = None) -> None:
+        super().__init__()
+        if time_step is not None and not time_step > 0:
+            raise UserError(f"PriorAlone: time_step is {time_step}; set seconds, or null for any.")
+        self.time_step = time_step or 0.0
 
     def set_statistics(self, statistics: Statistics) -> None:
         pass

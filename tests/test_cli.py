@@ -26,6 +26,7 @@ from fluidsnet.arguments import with_base
 from fluidsnet.errors import UserError
 from fluidsnet.export.vtkhdf import read_field_data, read_frame
 from fluidsnet.main import USAGE, main
+from fluidsnet.models import shipped_models
 from tools.demo import OF_IISPH
 
 ROOT = Path(__file__).parents[1]
@@ -115,6 +116,36 @@ def test_the_prior_alone_runs_without_training(
     assert list(skills) == ["model", "constant velocity", "ballistic"]
     assert skills["model"] > 0.7
     assert len(list((folder / "rollouts").glob("*.vtkhdf"))) == 1
+
+
+def test_a_shipped_model_is_tested_predicts_and_is_reported(
+    run: Run,
+    sample: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    root = f"--data.init_args.root={sample}"
+    for command in ("test", "predict"):
+        run(command, more=("--run=dam_break_small", root, "--data.init_args.stride=1"))
+    folder = tmp_path / "runs" / "dam_break_small"
+    with (folder / RESULTS / "one_step.csv").open() as file:
+        skills = {row["one step ahead"]: float(row["skill"]) for row in csv.DictReader(file)}
+    assert list(skills) == ["model", "constant velocity", "ballistic"]
+    assert skills["model"] > 0.9
+    assert "PressureStep, PriorAlone, OpenWalls\nweights  none" in capsys.readouterr().out
+    assert len(list((folder / RESULTS / "rollouts").glob("*.vtkhdf"))) == 1
+    main(["report", "runs/dam_break_small"])
+    assert "PressureStep" in (folder / "report" / "report.md").read_text()
+    with pytest.raises(SystemExit):
+        run("test", more=("--run=box_drops_40ms", root, "--data.init_args.stride=1"))
+    assert "prior is set for a time step of 0.04 s" in capsys.readouterr().err
+
+
+def test_the_help_names_the_shipped_models() -> None:
+    text = " ".join(USAGE.split())
+    assert all(f"{name}," in text or f"{name}." in text for name in shipped_models())
 
 
 ABLATIONS = sorted((CONFIGS / "ablation").glob("*.yaml"))
@@ -361,6 +392,7 @@ def test_the_rollout_file_holds_the_start_the_truths_error_and_each_step(
         (["fit", f"--config={TRAINER}", f"--config={PAPER}", f"--config={SAMPLE}",
           "--trainer.logger=false"], "that has no logger"),
         (["test", "--run=/nowhere"], "/nowhere is not the folder of a run"),
+        (["test", "--run=box_drop"], "ship with the package: box_drops, box_drops_40ms"),
         (["test", "--run"], "--run needs the folder"),
         (["fit", "--run=/nowhere"], "fit takes --config"),
         (["inspect", "/nowhere.h5"], "there is no such file"),

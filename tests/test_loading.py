@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import yaml
 from lightning import Trainer
 from test_module import data, trainer
 
@@ -18,10 +19,11 @@ from fluidsnet import FluidsNet
 from fluidsnet.checkpoint_migration import migrate
 from fluidsnet.errors import UserError
 from fluidsnet.features import NoGlobalFeature, VoxelField
+from fluidsnet.models import shipped_models
 from fluidsnet.particles import Particles
 from fluidsnet.priors import PressureStep
 from fluidsnet.rollout import rollout
-from fluidsnet.target import AccelerationTarget, DisplacementTarget
+from fluidsnet.target import AccelerationTarget, DisplacementTarget, PriorAlone
 
 #: Trained by the version before models were kept side by side; `step.npz` is its prediction.
 OLD = Path(__file__).parent / "data" / "old_run"
@@ -60,6 +62,39 @@ def test_a_prior_alone_is_loaded_from_its_config(sample: Path, device: torch.dev
         fluidsnet.load(configs / "corrected.yaml")
     with pytest.raises(UserError, match=r"missing.yaml holds no `model:`"):
         fluidsnet.load("missing.yaml")
+
+
+@pytest.mark.parametrize("name", shipped_models())
+def test_a_shipped_model_is_loaded_by_its_name(name: str, device: torch.device) -> None:
+    model = fluidsnet.load(name, device)
+    folder = Path(fluidsnet.models.__file__).parent / name
+    assert model.is_trained and "## Limits" in (folder / "card.md").read_text()
+    interval = 0.02 if name.startswith("box_drops") else 0.0025
+    described = yaml.safe_load((folder / "config.yaml").read_text())
+    stride = described["data"]["init_args"]["stride"]
+    assert float(model.time_step) == pytest.approx(stride * interval)
+    assert described["trainer"]["logger"]["init_args"]["name"] == name
+
+
+def test_a_shipped_model_steps_only_by_its_time_step(sample: Path, device: torch.device) -> None:
+    model = fluidsnet.load("dam_break_small", device)
+    before = read_state(sample / "test.h5", model.time_step, frame=5).to(device)
+    assert torch.equal(model.step(before).position, model.prior(before).position)
+    finer = fluidsnet.load("box_drops", device, prior={"substeps": 3})
+    assert (finer.prior.searches, finer.prior.substeps) == (3, 3)
+    with pytest.raises(UserError, match=r"prior is set for a time step of 0.04 s, and the data"):
+        next(iter(rollout(fluidsnet.load("box_drops_40ms", device), before, 1)))
+    with pytest.raises(UserError, match=r"time_step is -0.02; set seconds"):
+        PriorAlone(-0.02)
+
+
+def test_a_name_that_is_no_run_lists_the_shipped_models(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"config.yaml is missing. These models ship .* box_drops,"):
+        fluidsnet.load("box_drop")
+    # A run that ended before its first checkpoint.
+    shutil.copy(OLD / "config.yaml", tmp_path)
+    with pytest.raises(UserError, match=r"describes a network without weights"):
+        fluidsnet.load(tmp_path)
 
 
 def with_twins(grid_shape: tuple[int, int, int]) -> tuple[FluidsNet, list[Ablation]]:

@@ -26,6 +26,7 @@ from datamodules.generate.job import PARAMETERS, DrawnJob, SolverName, scene_fil
 from datamodules.generate.particle_file import write_bgeo
 from datamodules.generate.solver import load_solver, start_solver
 from datamodules.schema import Header, SceneAttributes
+from fluidsnet.errors import UserError
 
 Array = NDArray[np.float32]
 
@@ -90,6 +91,9 @@ def replay(job: Replay, advance: Callable[[], None]) -> Iterator[tuple[int, int,
     Args:
         job: What to continue.
         advance: Called now and then while the solver runs.
+
+    Raises:
+        UserError: The solver ended before its first state.
     """
     openmp = {"OMP_NUM_THREADS": str(job.threads), "OMP_WAIT_POLICY": "passive"}
     with tempfile.TemporaryDirectory() as scratch:
@@ -113,7 +117,11 @@ def replay(job: Replay, advance: Callable[[], None]) -> Iterator[tuple[int, int,
         paths = sorted(folder.glob("*.npz"))
         if not paths:
             lines = (folder / "log").read_text(errors="replace").split("\n")
-            raise RuntimeError("; ".join(filter(None, lines[-3:])) or "the solver did not start")
+            reason = "; ".join(filter(None, lines[-3:])) or f"status {process.returncode}"
+            raise UserError(
+                f"{job.solver} at {1000 * job.solver_step:g} ms ended before its first state of "
+                f"{job.data}: /{job.simulation}: {reason}"
+            )
         for path in paths:
             run, frame = map(int, path.stem.split("_"))
             with np.load(path) as values:

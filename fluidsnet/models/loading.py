@@ -1,4 +1,4 @@
-"""Load a trained model from the folder of a run, or a prior alone from its config file."""
+"""Load a model from the folder of a run, by its name if it is shipped, or from a config file."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from fluidsnet.deprecated import with_current_names
 from fluidsnet.errors import UserError
 from fluidsnet.features.voxel import GridShape
 from fluidsnet.model import Model
+from fluidsnet.models.shipped import run_path, shipped_models
 from fluidsnet.module import FluidsNet
 
 # Arguments that only training needs.
@@ -28,11 +29,12 @@ def load(
     device: torch.device | str = "cpu",
     prior: Mapping[str, Any] | None = None,
 ) -> Model:
-    """Return a model in evaluation mode: that of a run, or a prior alone.
+    """Return a model in evaluation mode: that of a run, a shipped one, or a prior alone.
 
     Args:
-        run: Folder of a run, such as runs/demo, with config.yaml and checkpoints/best.ckpt; or
-            config file of a prior alone, such as configs/model/prior.yaml.
+        run: Folder of a run, such as runs/demo, with config.yaml and checkpoints/best.ckpt; name
+            of a shipped model, such as box_drops; or config file of a prior alone, such as
+            configs/model/prior.yaml.
         device: Device of the model's weights.
         prior: Arguments of the prior in place of those of the config, such as
             ``{"searches": 1}``; only of a prior alone, since a network corrects the one it was
@@ -43,14 +45,37 @@ def load(
             file describes a network, whose weights it does not have, or the prior of a network
             is to be changed.
     """
-    path = Path(run)
-    if path.suffix in (".yaml", ".yml"):
-        model = _prior_alone(path, prior or {})
+    path, config = run_path(run), config_path(run)
+    if path == config or not has_weights(path):
+        model = _prior_alone(config, prior or {})
     elif prior:
         raise UserError(f"{path}: the prior of a trained network cannot be changed.")
     else:
         model = _trained(path)
     return model.eval().requires_grad_(False).to(device)
+
+
+def config_path(run: str | Path) -> Path:
+    """Return the config file of a run or of a shipped model, or the path of a config itself.
+
+    Raises:
+        UserError: The folder has none.
+    """
+    path = run_path(run)
+    if path.suffix in (".yaml", ".yml"):
+        return path
+    config = path / "config.yaml"
+    if not config.exists():
+        raise UserError(
+            f"{path} is not the folder of a run: {config} is missing. These models ship with the "
+            f"package: {', '.join(shipped_models())}."
+        )
+    return config
+
+
+def has_weights(folder: Path) -> bool:
+    """Return whether a run saved checkpoints; a prior alone has none."""
+    return (folder / "checkpoints").exists()
 
 
 def _prior_alone(config: Path, prior: Mapping[str, Any]) -> Model:

@@ -78,6 +78,15 @@ def test_the_datas_own_solver_continues_a_true_state_to_the_next(drops: Path) ->
         assert state.wall > 0 and state.cpu > 0
 
 
+def test_a_solver_that_makes_no_state_is_named_with_its_reason(drops: Path) -> None:
+    job = Replay(
+        data=str(drops), simulation="00007", solver="DFSPH", solver_step=0.0025, tolerance=0.05,
+        threads=1, runs=[(0, 1)],
+    )  # fmt: skip
+    with pytest.raises(UserError, match=r"DFSPH at 2.5 ms ended before its first state of .*00007"):
+        list(replay(job, nothing))
+
+
 def study(drops: Path, output: Path, solvers: list[Any], models: list[Any], *more: str) -> None:
     main(
         [
@@ -147,6 +156,7 @@ def test_the_points_of_the_config_can_be_built(sample: Path) -> None:
     parsed.pop("config")
     reader = FrameReader(sample / "test.h5")
     points = [ModelSteps(point, reader, 1) for point in TradeOptions(**parsed).models]
+    assert {point.kind for point in points} == {"prior alone"}
     assert {point.stride for point in points} == {1, 2, 4}
     assert len({json.dumps(point.settings) for point in points}) == len(points) > 10
     # Results of other defaults are not those of this prior.
@@ -207,6 +217,7 @@ def test_points_that_cannot_be_measured(
     for solvers, models, message in (
         ([], [prior, prior], "Two points have the same label"),
         ([], [{"model": str(CORRECTED)}], "describes a network without weights"),
+        ([], [{**prior, "stride": 5}], "--horizon is 4, and same steps 5 frames at once"),
     ):
         with pytest.raises(SystemExit):
             study(data, tmp_path, solvers, models)

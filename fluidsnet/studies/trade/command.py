@@ -76,6 +76,12 @@ class Study:
         self.points += [
             ModelSteps(point, self._reader, options.threads) for point in options.models
         ]
+        for point in self.points:
+            if point.stride > options.horizon:
+                raise UserError(
+                    f"--horizon is {options.horizon}, and {point.label} steps {point.stride} "
+                    f"frames at once; set --horizon {point.stride} or more."
+                )
         self.results: dict[str, Results] = {}
         labels = [point.label for point in self.points]
         if len(set(labels)) < len(labels):

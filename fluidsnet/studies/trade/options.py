@@ -40,8 +40,8 @@ class ModelPoint:
     """A trained model, or a prior alone.
 
     Attributes:
-        model: Folder of a run, or config file of a prior alone.
-        stride: Frames in a step of a prior alone; a trained model knows its step.
+        model: Folder of a run, name of a shipped model, or config file of a prior alone.
+        stride: Frames in a step, for models without a time step of their own.
         label: Name in the tables; by default what `model` names.
         prior: Arguments of a prior alone in place of those of the config.
     """
@@ -64,7 +64,8 @@ class TradeOptions:
     Attributes:
         data: Data file with held-out simulations of a scene that `generate` drew.
         solvers: Solver, step in s and tolerance in per cent of each point; [] for none.
-        models: Models to measure: folder of a run or config of a prior alone, and its label.
+        models: Models to measure: folder of a run, name of a shipped model or config of a prior
+            alone, and its label.
         simulations: Number of simulations, from the first in the file.
         every: Frames from one true state to the next of those that errors of a few frames start
             from.

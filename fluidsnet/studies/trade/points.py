@@ -17,7 +17,7 @@ from datamodules.generate.replay import Replay, replay
 from datamodules.reader import FrameReader
 from fluidsnet.baselines import TRIVIAL_PREDICTORS
 from fluidsnet.errors import UserError
-from fluidsnet.models import load
+from fluidsnet.models import config_path, load
 from fluidsnet.particles import Particles
 from fluidsnet.studies.trade.options import ModelPoint, SolverPoint
 
@@ -155,13 +155,14 @@ class ModelSteps(Point):
             threads,
             load(point.model, prior=point.prior),
         )
-        self.stride, self.kind = point.stride, "prior alone"
-        if trained := float(self._model.time_step):
-            self.stride, self.kind = round(trained / reader.header.dt), "network"
-            if abs(self.stride * reader.header.dt - trained) > 1e-6 * trained or not self.stride:
+        self.stride = point.stride
+        self.kind = "network" if self._model.network.target.width else "prior alone"
+        if step := float(self._model.time_step):
+            self.stride = round(step / reader.header.dt)
+            if abs(self.stride * reader.header.dt - step) > 1e-6 * step or not self.stride:
                 raise UserError(
-                    f"{point.model} was trained at a time step of {trained:g} s, which is no "
-                    f"multiple of the frame interval, {reader.header.dt:g} s."
+                    f"{point.model} has a time step of {step:g} s, which is no multiple of the "
+                    f"frame interval, {reader.header.dt:g} s."
                 )
 
     @property
@@ -174,7 +175,7 @@ class ModelSteps(Point):
             # Its numbers, too: the config leaves some to their defaults.
             prior = vars(self._model.prior).items()
             described = {
-                "config": Path(self._point.model).read_text(encoding="utf-8"),
+                "config": config_path(self._point.model).read_text(encoding="utf-8"),
                 "prior": {name: it for name, it in prior if isinstance(it, int | float)},
             }
         return {**asdict(self._point), "threads": self._threads, "described": described}
