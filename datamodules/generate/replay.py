@@ -40,7 +40,7 @@ class Replay:
         data: Data file of a scene that `fluidsnet generate` drew.
         simulation: Name of its group.
         solver: Pressure solver.
-        solver_step: s; divides the frame interval.
+        solver_step: s; divides the frame interval or is a multiple of it.
         tolerance: Of density and divergence, per cent; none for WCSPH.
         threads: OpenMP threads.
         runs: Start frame and number of frames of each run.
@@ -73,7 +73,7 @@ class Replayed:
     Attributes:
         position: (N, 3) m.
         velocity: (N, 3) m/s.
-        wall: Wall time of the frame's solver steps, s.
+        wall: Wall time of the solver steps of a frame, s.
         cpu: Time of all cores for them, s.
     """
 
@@ -136,7 +136,8 @@ def _continue(job: Replay, folder: Path) -> None:
         group = file[job.simulation]
         header, scene = Header.read(file), SceneAttributes.read(group)
         states: Any = (group["position"], group["velocity"])
-        steps = round(header.dt / job.solver_step)
+        steps = max(round(header.dt / job.solver_step), 1)
+        stride = max(round(job.solver_step / header.dt), 1)
         drawn = DrawnJob(
             output=str(folder / "unused.h5"),
             header=replace(header, solver=job.solver),
@@ -158,11 +159,12 @@ def _continue(job: Replay, folder: Path) -> None:
         fluid = solver.Simulation.getCurrent().getFluidModel(0)
         for number, (first, frames) in enumerate(job.runs):
             _put(fluid, *(values[first] for values in states))
-            for frame in range(1, frames + 1):
+            for frame in range(stride, frames + 1, stride):
                 wall, cpu = time.perf_counter(), time.process_time()
                 for _ in range(steps):
                     base.timeStepNoGUI()
-                seconds = time.perf_counter() - wall, time.process_time() - cpu
+                spent = time.perf_counter() - wall, time.process_time() - cpu
+                seconds = spent[0] / stride, spent[1] / stride
                 # Parts of buffers of the solver, which moves them.
                 position, velocity = (
                     np.array(fluid.getFieldBuffer(name))[: fluid.numActiveParticles()]

@@ -15,7 +15,7 @@ class SolverPoint:
 
     Attributes:
         solver: WCSPH, PCISPH, IISPH or DFSPH.
-        step: Time step, s; divides the frame interval of the data.
+        step: Time step, s; divides the frame interval of the data or is a multiple of it.
         tolerance: Mean error of the density at which a step is solved, per cent.
     """
 

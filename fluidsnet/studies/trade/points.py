@@ -110,12 +110,13 @@ class Solver(Point):
         self.label, self._point, self._data, self._threads = point.label, point, data, threads
         with h5py.File(data) as file:
             interval = float(file.attrs["dt"])
-        steps = interval / point.step
-        if abs(steps - max(round(steps), 1)) > 1e-6:
+        ratio = max(point.step / interval, interval / point.step)
+        if abs(ratio - round(ratio)) > 1e-6:
             raise UserError(
-                f"The solver's step of {point.step:g} s does not divide the frame interval of "
-                f"{data}, {interval:g} s."
+                f"The solver's step of {point.step:g} s neither divides the frame interval of "
+                f"{data}, {interval:g} s, nor is a multiple of it."
             )
+        self.stride = max(round(point.step / interval), 1)
 
     @property
     def settings(self) -> dict[str, Any]:
