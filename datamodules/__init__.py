@@ -6,12 +6,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from datamodules.reader import read_motion as read_motion
     from datamodules.reader import read_state as read_state
     from datamodules.sph import SPHDataModule as SPHDataModule
 
-__all__ = ["SPHDataModule", "read_state"]
+__all__ = ["SPHDataModule", "read_motion", "read_state"]
 
-_MODULES = {"SPHDataModule": "datamodules.sph", "read_state": "datamodules.reader"}
+_MODULES = {
+    "SPHDataModule": "datamodules.sph",
+    "read_motion": "datamodules.reader",
+    "read_state": "datamodules.reader",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from fluidsnet.errors import UserError
-from fluidsnet.particles import Transitions
+from fluidsnet.particles import SolidStates, Transitions
 from fluidsnet.scene import Scene
 
 
@@ -72,4 +72,9 @@ class BoxSymmetry(Augmentation):
             solid_velocity=turn(state.solid_velocity),
         )
         positions, velocities = place(sample.next_position), turn(sample.next_velocity)
-        return replace(sample, state=state, next_position=positions, next_velocity=velocities)
+        solids = sample.solids
+        if solids is not None:
+            solids = SolidStates(place(solids.position), turn(solids.velocity))
+        return replace(
+            sample, state=state, next_position=positions, next_velocity=velocities, solids=solids
+        )

@@ -33,14 +33,16 @@ class FrameReader:
 
     Raises:
         UserError: the file is missing, damaged or not a data file, or has a simulation that
-            FluidsNet cannot step: in two dimensions, periodic, or with solids that move.
+            FluidsNet cannot step: in two dimensions or periodic.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._handle: h5py.File | None = None
         self._process = -1
+        # Of solids at rest.
         self._solids: dict[str, Tensor] = {}
+        self._moving: set[str] = set()
         self._scenes: dict[tuple[str, int], Scene] = {}
         self._attributes: dict[str, SceneAttributes] = {}
         self.frames: dict[str, int] = {}
@@ -51,6 +53,8 @@ class FrameReader:
                 if reason := _unsupported(file[name], self._attributes[name]):
                     raise UserError(f"{path}: {reason}.")
                 self.frames[name] = len(file[name]["position"])
+                if file[name]["solid_position"].ndim == 3:
+                    self._moving.add(name)
 
     @cached_property
     def sha256(self) -> str:
@@ -104,11 +108,26 @@ class FrameReader:
     def state(self, simulation: str, frame: int, stride: int) -> Particles:
         """Read one frame with its solids, in the scene for steps of this many frames."""
         position, velocity = self.fluid(simulation, frame)
-        if simulation not in self._solids:
-            what = f"the solids of /{simulation}"
-            self._solids[simulation] = self._read(f"{simulation}/solid_position", (), what)
         scene = self.scene(simulation, stride)
-        return Particles.single(position, velocity, self._solids[simulation], scene)
+        solids, speeds = self.solids(simulation, frame)
+        state = Particles.single(position, velocity, solids, scene)
+        return state.with_solids(solids, speeds) if simulation in self._moving else state
+
+    def solids(self, simulation: str, frame: int) -> tuple[Tensor, Tensor]:
+        """Read position, m, and velocity, m/s, of the solid particles, each (M, 3)."""
+        what = f"the solids of frame {frame} of /{simulation}"
+        names = f"{simulation}/solid_position", f"{simulation}/solid_velocity"
+        if simulation in self._moving:
+            position, velocity = (self._read(name, frame, what) for name in names)
+            return position, velocity
+        if simulation not in self._solids:
+            self._solids[simulation] = self._read(names[0], (), what)
+        position = self._solids[simulation]
+        return position, torch.zeros_like(position)
+
+    def motion(self, simulation: str, first: int, stride: int) -> SolidTrack | None:
+        """Return the motion of the solids from a frame on; None where they rest."""
+        return SolidTrack(self, simulation, first, stride) if simulation in self._moving else None
 
     def close(self) -> None:
         """Close the handle of this process, if it is open; the next read opens it again."""
@@ -137,10 +156,38 @@ class FrameReader:
         return {**self.__dict__, "_handle": None, "_process": -1}
 
 
+@final
+class SolidTrack:
+    """Motion of the solids of a simulation from a frame on, read one state at a time.
+
+    Args:
+        reader: Reader of the file.
+        simulation: Name of the simulation.
+        first: Frame of the start.
+        stride: Frames from a state to the next.
+    """
+
+    def __init__(self, reader: FrameReader, simulation: str, first: int, stride: int) -> None:
+        self.reader, self.simulation = reader, simulation
+        self.first, self.stride = first, stride
+
+    def __getitem__(self, step: int) -> tuple[Tensor, Tensor]:
+        """Return position and velocity after a step.
+
+        Raises:
+            UserError: The file ends before.
+        """
+        frame, known = self.first + step * self.stride, self.reader.frames[self.simulation]
+        if not 0 <= frame < known:
+            raise UserError(
+                f"{self.reader.path}: the solids of /{self.simulation} move, and their motion is "
+                f"known for {known} frames, fewer than {frame + 1}."
+            )
+        return self.reader.solids(self.simulation, frame)
+
+
 def _unsupported(group: h5py.Group, scene: SceneAttributes) -> str | None:
     """Return why a simulation cannot be stepped; None if it can."""
-    if group["solid_position"].ndim == 3:
-        return f"the solids of {group.name} move; only solids at rest are supported"
     if any(scene.periodic):
         return f"{group.name} is periodic; only closed and open domains are supported"
     if scene.dimension != 3:
@@ -163,6 +210,27 @@ def read_state(
         UserError: the file cannot be read, the frame is not there, or the time step is not a
             multiple of the file's frame interval.
     """
+    reader, name, stride = _find(path, time_step, frame, simulation)
+    state = reader.state(name, frame, stride)
+    reader.close()
+    return state
+
+
+def read_motion(
+    path: str | Path, time_step: SupportsFloat, frame: int = 0, simulation: str | None = None
+) -> SolidTrack | None:
+    """Return the motion of the solids after a frame, for a rollout from it; None if they rest.
+
+    Arguments and errors are those of `read_state`.
+    """
+    reader, name, stride = _find(path, time_step, frame, simulation)
+    return reader.motion(name, frame, stride)
+
+
+def _find(
+    path: str | Path, time_step: SupportsFloat, frame: int, simulation: str | None
+) -> tuple[FrameReader, str, int]:
+    """Return a reader, the name of the simulation, and the number of frames in a step."""
     reader = FrameReader(Path(path))
     name = next(iter(reader.frames)) if simulation is None else simulation
     if not 0 <= frame < reader.frames.get(name, 0):
@@ -174,6 +242,4 @@ def read_state(
             f"{path}: a time step of {step:g} s is no multiple of the frame interval, "
             f"{interval:g} s."
         )
-    state = reader.state(name, frame, stride)
-    reader.close()
-    return state
+    return reader, name, stride

@@ -76,6 +76,11 @@ class HDF5RolloutStarts(Dataset[RolloutStart]):
                 self.names.append(name)
                 self.first.append(first)
                 rolled = known if steps is None else steps
+                if beyond_truth and rolled > known and reader.motion(name, first, stride):
+                    raise UserError(
+                        f"{reader.path}: the solids of /{name} move, and their motion is known for "
+                        f"{known} steps; set data.rollout_steps to {known} or fewer."
+                    )
                 self.steps.append(rolled if beyond_truth else min(rolled, known))
                 self.known_steps.append(min(rolled, known))
 
@@ -90,4 +95,5 @@ class HDF5RolloutStarts(Dataset[RolloutStart]):
             steps=self.steps[index],
             truth=SimulationTruth(self.reader, name, self.stride, first),
             first=first,
+            solids=self.reader.motion(name, first, self.stride),
         )

@@ -14,7 +14,7 @@ from torch.utils.data import Dataset
 from datamodules.augmentation import Augmentation
 from datamodules.reader import FrameReader
 from fluidsnet.errors import UserError
-from fluidsnet.particles import Transitions
+from fluidsnet.particles import SolidStates, Transitions
 from fluidsnet.statistics import Statistics
 
 #: Greatest number of samples that statistics are computed from.
@@ -68,6 +68,8 @@ class TransitionDataset(Dataset[Transitions]):
         # The path is part of the key: two files may have simulations of the same name.
         names = dict.fromkeys((sample.reader.path, sample.simulation) for sample in samples)
         self._numbers = {name: number for number, name in enumerate(names)}
+        simulations = {(sample.reader, sample.simulation) for sample in samples}
+        self._solids_move = any(reader.motion(name, 0, 1) for reader, name in simulations)
 
     def __len__(self) -> int:
         return len(self.samples)
@@ -76,17 +78,26 @@ class TransitionDataset(Dataset[Transitions]):
         sample = self.samples[index]
         reader, simulation = sample.reader, sample.simulation
         state = reader.state(simulation, sample.frame, self.stride)
-        later = [
-            reader.fluid(simulation, sample.frame + step * self.stride)
-            for step in range(1, self.steps + 1)
-        ]
+        frames = [sample.frame + step * self.stride for step in range(1, self.steps + 1)]
+        later = [reader.fluid(simulation, frame) for frame in frames]
         transitions = Transitions(
             state=state,
             next_position=torch.stack([position for position, _ in later]),
             next_velocity=torch.stack([velocity for _, velocity in later]),
             simulation=torch.tensor([self._numbers[reader.path, simulation]]),
+            solids=self._solids(reader, simulation, frames),
         )
         return transitions if self.augmentation is None else self.augmentation(transitions)
+
+    def _solids(
+        self, reader: FrameReader, simulation: str, frames: Sequence[int]
+    ) -> SolidStates | None:
+        """Return the solids in frames; None where those of all samples rest."""
+        if not self._solids_move:
+            return None
+        states = [reader.solids(simulation, frame) for frame in frames]
+        position, velocity = (torch.stack(it) for it in zip(*states, strict=True))
+        return SolidStates(position, velocity)
 
 
 def statistics(dataset: TransitionDataset) -> Statistics:

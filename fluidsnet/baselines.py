@@ -61,4 +61,5 @@ class Baselines:
         self._floor = self.integrator(self._floor, Motion(true.velocity, displacement))
         self._true = true
         trivial = (predict(self.start, step) for predict in TRIVIAL_PREDICTORS.values())
-        return dict(zip(self.names, (self._floor, *trivial), strict=True))
+        states = (it.with_solids_of(true) for it in (self._floor, *trivial))
+        return dict(zip(self.names, states, strict=True))

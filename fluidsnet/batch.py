@@ -101,9 +101,20 @@ def _equal(batches: Sequence[Any], name: str) -> Any:
     return value
 
 
+def _any(batches: Sequence[Any], name: str) -> bool:
+    return any(getattr(batch, name) for batch in batches)
+
+
 def _collate(batches: Sequence[Any], name: str) -> Any:
     parts = [getattr(batch, name) for batch in batches]
     return type(parts[0]).collate(parts)
+
+
+def _collate_optional(batches: Sequence[Any], name: str) -> Any:
+    missing = [getattr(batch, name) is None for batch in batches]
+    if any(missing) and not all(missing):
+        raise ValueError(f"cannot collate {name}: only some of the batches have it")
+    return None if all(missing) else _collate(batches, name)
 
 
 #: Metadata of a tensor with a row per particle or frame.
@@ -118,5 +129,9 @@ ENTRIES: dict[str, Any] = {"join": _chain}
 COUNT: dict[str, Any] = {"join": _sum}
 #: Metadata of a value that all batches must share.
 SHARED: dict[str, Any] = {"join": _equal}
+#: Metadata of a flag that holds for a batch if it holds for one of its parts.
+ANY: dict[str, Any] = {"join": _any}
 #: Metadata of a part that is a batch itself.
 PART: dict[str, Any] = {"join": _collate}
+#: Metadata of a part that all batches have, or none.
+OPTIONAL_PART: dict[str, Any] = {"join": _collate_optional}

@@ -197,13 +197,16 @@ class Model(nn.Module):
         """Return the mean squared error of the network output over the batch's steps, ()."""
         state = batch.state if self.noise is None else self.noise(batch.state)
         losses = []
-        for position, velocity in zip(batch.next_position, batch.next_velocity, strict=True):
+        true = zip(batch.next_position, batch.next_velocity, strict=True)
+        for step, (position, velocity) in enumerate(true, start=1):
             guess = self.guess(state)
             output = self.network(state, guess)
             expected = self.network.target.encode(state, guess, position, velocity)
             losses.append(mean_square(output, expected))
             if len(losses) < len(batch.next_position):
                 state = self.advance(state, guess, output)
+                if batch.solids is not None:
+                    state = state.with_solids(*batch.solids[step])
         return torch.stack(losses).mean()
 
     def blocks(self) -> dict[str, Any]:

@@ -193,7 +193,7 @@ class FluidsNet(LightningModule):
         callbacks = self.trainer.callbacks  # type: ignore[attr-defined]
         observers = [callback for callback in callbacks if isinstance(callback, RolloutObserver)]
         states = zip(
-            rollout(self.model, batch.state, batch.steps),
+            rollout(self.model, batch.state, batch.steps, batch.solids),
             reference_rollout(batch, self.model.integrator),
             strict=True,
         )

@@ -8,7 +8,17 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from fluidsnet.batch import COUNT, FRAME_INDEX, PART, ROWS, STEPS_AND_ROWS, Batch, Movable
+from fluidsnet.batch import (
+    ANY,
+    COUNT,
+    FRAME_INDEX,
+    OPTIONAL_PART,
+    PART,
+    ROWS,
+    STEPS_AND_ROWS,
+    Batch,
+    Movable,
+)
 from fluidsnet.scene import Scene
 
 
@@ -25,6 +35,7 @@ class Particles(Batch):
         solid_frame: (M,) int64, as `frame`.
         frames: Number of frames in the batch.
         scene: Scene with a row for each frame.
+        solids_move: Whether a solid particle moves; False saves what motion costs.
     """
 
     position: Tensor = field(metadata=ROWS)
@@ -35,6 +46,7 @@ class Particles(Batch):
     solid_frame: Tensor = field(metadata=FRAME_INDEX)
     frames: int = field(metadata=COUNT)
     scene: Scene = field(metadata=PART)
+    solids_move: bool = field(default=False, metadata=ANY)
 
     @classmethod
     def single(
@@ -67,6 +79,22 @@ class Particles(Batch):
         """Return the particles with a new position (N, 3), m, and velocity (N, 3), m/s."""
         return replace(self, position=position, velocity=velocity)
 
+    def with_solids(self, position: Tensor, velocity: Tensor) -> Particles:
+        """Return the particles with solids at positions (M, 3), m, that move, (M, 3) m/s."""
+        return replace(self, solid_position=position, solid_velocity=velocity, solids_move=True)
+
+    def with_solids_of(self, other: Particles) -> Particles:
+        """Return the particles with the solids of another state of the same scene."""
+        if not other.solids_move:
+            return self
+        return self.with_solids(other.solid_position, other.solid_velocity)
+
+    def after_drift(self, time: float) -> Particles:
+        """Return the particles with the solids where their velocities take them in a time, s."""
+        if not self.solids_move:
+            return self
+        return replace(self, solid_position=self.solid_position + time * self.solid_velocity)
+
     def per_particle(self, values: Tensor) -> Tensor:
         """Return rows of a value per frame that broadcast against the fluid particles.
 
@@ -83,6 +111,31 @@ class Particles(Batch):
         return len(self.position)
 
 
+class SolidMotion(Protocol):
+    """Prescribed motion of the solids of a scene."""
+
+    def __getitem__(self, step: int) -> tuple[Tensor, Tensor]:
+        """Return position, m, and velocity, m/s, each (M, 3), after a step, counted from 1."""
+        ...
+
+
+@dataclass(frozen=True)
+class SolidStates(Batch):
+    """Motion of solids over S steps.
+
+    Attributes:
+        position: (S, M, 3) after 1, 2, … S steps, m.
+        velocity: (S, M, 3) m/s.
+    """
+
+    position: Tensor = field(metadata=STEPS_AND_ROWS)
+    velocity: Tensor = field(metadata=STEPS_AND_ROWS)
+
+    def __getitem__(self, step: int) -> tuple[Tensor, Tensor]:
+        """Return position and velocity, each (M, 3), after a step, counted from 1."""
+        return self.position[step - 1], self.velocity[step - 1]
+
+
 @dataclass(frozen=True)
 class Transitions(Batch):
     """States and the true states one or more steps later.
@@ -92,12 +145,14 @@ class Transitions(Batch):
         next_position: (S, N, 3) after 1, 2, … S steps, m.
         next_velocity: (S, N, 3) m/s.
         simulation: (F,) int64, number of the simulation of each frame.
+        solids: The solids after each step; None where they rest.
     """
 
     state: Particles = field(metadata=PART)
     next_position: Tensor = field(metadata=STEPS_AND_ROWS)
     next_velocity: Tensor = field(metadata=STEPS_AND_ROWS)
     simulation: Tensor = field(metadata=ROWS)
+    solids: SolidStates | None = field(default=None, metadata=OPTIONAL_PART)
 
 
 class Truth(Protocol):
@@ -122,6 +177,7 @@ class RolloutStart(Movable):
         steps: Number of steps to roll out.
         truth: True states from the start on; may end before the rollout does.
         first: Frame of the simulation that the rollout starts at.
+        solids: Motion of the solids; None where they rest.
     """
 
     name: str
@@ -129,6 +185,7 @@ class RolloutStart(Movable):
     steps: int
     truth: Truth
     first: int
+    solids: SolidMotion | None = None
 
     @property
     def known_steps(self) -> int:

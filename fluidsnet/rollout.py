@@ -7,28 +7,52 @@ from collections.abc import Iterator, Mapping
 import torch
 
 from fluidsnet.baselines import Baselines
+from fluidsnet.errors import UserError
 from fluidsnet.integrator import Integrator
 from fluidsnet.model import Model
-from fluidsnet.particles import Particles, RolloutStart
+from fluidsnet.particles import Particles, RolloutStart, SolidMotion
 
 
 @torch.no_grad()
-def rollout(model: Model, start: Particles, steps: int) -> Iterator[Particles]:
+def rollout(
+    model: Model, start: Particles, steps: int, solids: SolidMotion | None = None
+) -> Iterator[Particles]:
     """Yield the states after 1, 2, … steps; only the last one is kept in memory.
 
     Args:
         model: Model in evaluation mode.
         start: First state, which is not yielded.
         steps: Number of steps.
+        solids: Motion of the solids; None where they rest.
 
     Raises:
-        UserError: The model was trained at another time step than the state's.
+        UserError: The model was trained at another time step than the state's, or the solids move
+            and their motion is not given.
     """
     model.check_time_step(start.scene.time_step)
+    if start.solids_move and solids is None:
+        raise UserError(
+            "The solids of this scene move: give their motion, such as that of "
+            "datamodules.read_motion, as `solids`."
+        )
     state = start
-    for _ in range(steps):
-        state = model.step(state)
+    for step in range(1, steps + 1):
+        state = with_solids(model.step(state), solids, step)
         yield state
+
+
+def with_solids(state: Particles, solids: SolidMotion | None, step: int) -> Particles:
+    """Return a state with the solids as they are after a step, on its device.
+
+    Args:
+        state: State.
+        solids: Motion of the solids; None where they rest.
+        step: Number of the step, counted from 1.
+    """
+    if solids is None:
+        return state
+    device = state.position.device
+    return state.with_solids(*(values.to(device, non_blocking=True) for values in solids[step]))
 
 
 def reference_rollout(
@@ -46,6 +70,7 @@ def reference_rollout(
         if step <= start.known_steps:
             device = start.state.position.device
             true = start.state.moved(*(value.to(device) for value in start.truth[step]))
+            true = with_solids(true, start.solids, step)
             states = {**baselines.after(step, true), "truth": true}
         yield states
 

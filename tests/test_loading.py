@@ -221,9 +221,14 @@ def test_a_state_of_another_time_step_is_not_rolled_out(sample: Path) -> None:
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"not the folder of a run: .*config.yaml is missing"):
+        fluidsnet.load(tmp_path)
+    shutil.copy(OLD / "config.yaml", tmp_path)
+    (tmp_path / "checkpoints").mkdir()
     with pytest.raises(UserError, match=r"not the folder of a run: .*last.ckpt is missing"):
         fluidsnet.load(tmp_path)
-    shutil.copytree(OLD / "checkpoints", tmp_path / "checkpoints")
+    shutil.copytree(OLD / "checkpoints", tmp_path / "checkpoints", dirs_exist_ok=True)
+    (tmp_path / "config.yaml").write_text("seed_everything: 0")
     with pytest.raises(UserError, match=r"config.yaml holds no `model:`"):
         fluidsnet.load(tmp_path)
     (tmp_path / "config.yaml").write_text(

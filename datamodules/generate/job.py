@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Self, final
 
@@ -13,9 +13,11 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from datamodules.generate.bodies import Block, Body, Drop, describe, from_description
+from datamodules.generate.bodies import Block, Body, Drop, Vector, describe, from_description
 from datamodules.generate.mesh import write_box, write_drop
+from datamodules.generate.moving_solids import MovingSolid, describe_solids, solids_from
 from datamodules.generate.particle_file import write_bgeo
+from datamodules.generate.scenes import CLEARANCE
 from datamodules.schema import Header, SceneAttributes
 
 SolverName = Literal["WCSPH", "PCISPH", "IISPH", "DFSPH"]
@@ -92,6 +94,11 @@ class Job(ABC):
         return None
 
     @property
+    def animated(self) -> list[MovingSolid]:
+        """Solids that the solver's process moves; they are the last of its rigid bodies."""
+        return []
+
+    @property
     def solids_move(self) -> bool:
         """Return whether the scene has an animated body."""
         return False
@@ -115,10 +122,19 @@ class DrawnJob(Job):
     entropy: list[int]  # seed of the random generator that drew the scene
     bodies: list[Body]  # fluid at the start
     parameters: dict[str, float]  # of the pressure solver, under SPlisHSPlasH's names
+    solids: list[MovingSolid] = field(default_factory=list)  # that move
 
     @property
     def seed(self) -> list[int]:
         return self.entropy
+
+    @property
+    def solids_move(self) -> bool:
+        return bool(self.solids)
+
+    @property
+    def animated(self) -> list[MovingSolid]:
+        return self.solids
 
     def solver_parameters(self) -> dict[str, Any]:
         return {
@@ -140,6 +156,8 @@ class DrawnJob(Job):
     def write_notes(self, group: h5py.Group) -> None:
         group.attrs["seed"] = json.dumps(self.seed)
         group.attrs["scene_parameters"] = json.dumps([*map(describe, self.bodies)])
+        if self.solids:
+            group.attrs["moving_solids"] = json.dumps(describe_solids(self.solids))
 
     def to_json(self) -> str:
         bodies = [*map(describe, self.bodies)]
@@ -149,7 +167,8 @@ class DrawnJob(Job):
     def from_values(cls, values: dict[str, Any]) -> Self:
         scene = SceneAttributes(**values["scene"])
         bodies = [*map(from_description, values["bodies"])]
-        return super().from_values({**values, "scene": scene, "bodies": bodies})
+        solids = solids_from(values["solids"])
+        return super().from_values({**values, "scene": scene, "bodies": bodies, "solids": solids})
 
 
 def scene_file(job: DrawnJob, folder: Path) -> dict[str, Any]:
@@ -157,9 +176,16 @@ def scene_file(job: DrawnJob, folder: Path) -> dict[str, Any]:
     header, scene, radius = job.header, job.scene, job.header.particle_radius
     walls = folder / "walls.obj"
     write_box(walls, scene.domain_upper)
-    blocks, models = [], []
+    for number, solid in enumerate(job.solids):
+        solid.write(folder / f"solid{number}.obj")
+    blocks: list[dict[str, Any]] = []
+    models: list[dict[str, Any]] = []
     for number, body in enumerate(job.bodies):
-        if isinstance(body, Block):
+        if isinstance(body, Block) and job.solids:
+            particles = folder / f"body{number}.bgeo"
+            write_bgeo(particles, _around(body, job.solids, radius))
+            models.append({"particleFile": str(particles)})
+        elif isinstance(body, Block):
             # SPlisHSPlasH leaves one spacing empty at each end of a block.
             lower, upper = body.bounds()
             start, end = (lower - radius).tolist(), (upper + radius).tolist()
@@ -201,17 +227,36 @@ def scene_file(job: DrawnJob, folder: Path) -> dict[str, Any]:
             }
         ],
         "RigidBodies": [
-            {
-                "geometryFile": str(walls),
-                "translation": [0, 0, 0],
-                "scale": [1, 1, 1],
-                "rotationAxis": [1, 0, 0],
-                "rotationAngle": 0,
-                "isDynamic": False,
-                "isWall": True,
-                "samplingMode": REGULAR_TRIANGLES,
-            }
+            _rigid_body(walls, (0.0, 0.0, 0.0), isWall=True),
+            *(
+                _rigid_body(folder / f"solid{number}.obj", solid.center, isAnimated=True)
+                for number, solid in enumerate(job.solids)
+            ),
         ],
         "FluidBlocks": blocks,
         "FluidModels": models,
     }
+
+
+def _rigid_body(mesh: Path, center: Vector, **kind: bool) -> dict[str, Any]:
+    """Return a solid in SPlisHSPlasH's format."""
+    return {
+        "geometryFile": str(mesh),
+        "translation": list(center),
+        "scale": [1, 1, 1],
+        "rotationAxis": [1, 0, 0],
+        "rotationAngle": 0,
+        "isDynamic": False,
+        "samplingMode": REGULAR_TRIANGLES,
+        **kind,
+    }
+
+
+def _around(block: Block, solids: Sequence[MovingSolid], radius: float) -> NDArray[np.float64]:
+    """Return the particles (P, 3) of a block, m, that are not in solids or too close to them."""
+    lower, upper = block.bounds()
+    axes = [np.arange(a + radius, b, 2 * radius) for a, b in zip(lower, upper, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    for solid in solids:
+        points = points[solid.distance(points) > (1 + CLEARANCE) * radius]
+    return points

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datamodules.generate.bodies import Drop, Vector
+from datamodules.generate.moving_solids import BOX
 from datamodules.generate.obj import read_obj, write_obj
 
 
@@ -15,9 +16,7 @@ def write_box(path: Path, domain: Vector) -> None:
     """Write a closed box from the origin to the upper corner of the domain."""
     width, height, depth = domain
     corners = [(x, y, z) for x in (0.0, width) for y in (0.0, height) for z in (0.0, depth)]
-    faces = ((1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4))
-    triangles = [(a, b, c) for a, b, c, _ in faces] + [(a, c, d) for a, _, c, d in faces]
-    write_obj(path, np.array(corners), triangles)
+    write_obj(path, np.array(corners), BOX)
 
 
 def write_drop(path: Path, drop: Drop, particle_radius: float) -> None:

@@ -180,6 +180,7 @@ class Recipe:
             frames=self.frames,
             entropy=self._entropy(split, number),
             bodies=drawn.bodies,
+            solids=drawn.solids,
             threads=threads,
             parameters={**PARAMETERS[self.solver], **(self.solver_parameters or {})},
         )

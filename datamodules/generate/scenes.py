@@ -8,7 +8,7 @@ is y.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import final
 
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from datamodules.generate.bodies import Block, Body, Drop, Range, vector
 from datamodules.generate.bodies import Vector as Vector  # re-exported
+from datamodules.generate.moving_solids import MovingSolid
 from fluidsnet.errors import UserError
 
 #: Particle radii between a wall and the surface of the fluid at the start. With the boundary
@@ -37,11 +38,13 @@ class DrawnScene:
         domain: Edges of the box of fluid and air, m; its lower corner is the origin.
         bodies: Fluid at the start.
         viscosity: Coefficient of the solver; None for that of the recipe.
+        solids: Solids that move.
     """
 
     domain: Vector
     bodies: list[Body]
     viscosity: float | None = None
+    solids: list[MovingSolid] = field(default_factory=list)
 
 
 class SceneKind(ABC):

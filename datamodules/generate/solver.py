@@ -92,9 +92,10 @@ def simulate(job: Job, report: int) -> None:
                 job.write_notes(group)
                 group.attrs["threads"] = job.threads
                 recorder = Recorder(solver, job, group, report)
-                move_bodies = _script(job, solver, base)
+                run_script, move_solids = _script(job, solver, base), _mover(job, solver)
                 while recorder.frames < job.frames:
-                    move_bodies()
+                    run_script()
+                    move_solids()
                     started = time.perf_counter()
                     if not base.timeStepNoGUI():
                         raise RuntimeError(
@@ -141,6 +142,25 @@ def _script(job: Job, solver: ModuleType, base: Any) -> Callable[[], None]:
         names["init"](base)
     step: Callable[[], None] = names.get("step", lambda: None)
     return step
+
+
+def _mover(job: Job, solver: ModuleType) -> Callable[[], None]:
+    """Return a function that moves the job's solids over the step of the solver to come."""
+    simulation, clock = solver.Simulation.getCurrent(), solver.TimeManager.getCurrent()
+    first = simulation.numberOfBoundaryModels() - len(job.animated)
+    bodies = [
+        (simulation.getBoundaryModel(number).getRigidBodyObject(), solid)
+        for number, solid in enumerate(job.animated, start=first)
+    ]
+
+    def move() -> None:
+        time = clock.getTime()
+        for body, solid in bodies:
+            body.setVelocity(solid.velocity(time))
+            body.setAngularVelocity(list(solid.spin))
+            body.animate()
+
+    return move
 
 
 def _header(job: Job) -> Header:

@@ -38,8 +38,10 @@ class Symmetries:
 
         The edges of the boxes and the bounding boxes of the bodies may be less than `distance`
         apart, m. Rotations, velocities and viscosities are not compared, so different scenes may
-        count as alike, but never the reverse.
+        count as alike, but never the reverse. Scenes with different solids that move are not alike.
         """
+        if first.solids != second.solids:
+            return False
         if [*map(shape_and_mesh, first.bodies)] != [*map(shape_and_mesh, second.bodies)]:
             return False
         edges = np.array(first.domain)[self._axes]

@@ -13,7 +13,14 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from fluidsnet.kernels.near_lists import NearLists
-from fluidsnet.kernels.sph_sums import CHUNK, FAST, divergence, push_one, take_gradients
+from fluidsnet.kernels.sph_sums import (
+    CHUNK,
+    FAST,
+    add_sources,
+    divergence,
+    push_one,
+    take_gradients,
+)
 
 Array = NDArray[np.float32]
 
@@ -22,12 +29,14 @@ class Walls(NamedTuple):
     """Solid particles in the order of their cell table.
 
     Attributes:
-        place: (3, M) m.
+        place: (3, M) in the middle of the substeps, m.
         volume: (M,) m³.
+        velocity: (M, 3) m/s; (0, 3) where they rest.
     """
 
     place: Array
     volume: Array
+    velocity: Array
 
 
 class Boxes(NamedTuple):
@@ -93,6 +102,8 @@ def pressure_step(
     stiffness = np.empty(count, np.float32)
     before, driven = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
     change = np.empty(count, np.float32)
+    moving = len(walls.velocity) > 0
+    wall_place, source = walls.place, np.zeros(count if moving else 0, np.float32)
     middle, total, density = state.middle, state.surface, state.density
     upkeep, pressure = state.divergence_pressure, state.pressure
     offset, neighbor = lists.offset, lists.neighbor
@@ -103,19 +114,26 @@ def pressure_step(
             place, velocity, frame, boxes.lower, boxes.upper, np.float32(numbers.ahead) * step,
             middle, before,
         )  # fmt: skip
+        if moving:
+            time = np.float32(substep + numbers.ahead - substeps / 2) * step
+            wall_place = walls.place + time * walls.velocity.T
+            add_sources(
+                middle, lists.wall_offset, lists.wall, wall_place, walls.velocity, walls.volume,
+                numbers.radius, source,
+            )  # fmt: skip
         take_gradients(
-            middle, offset, neighbor, lists.wall_offset, lists.wall, walls.place, walls.volume,
+            middle, offset, neighbor, lists.wall_offset, lists.wall, wall_place, walls.volume,
             numbers.radius, numbers.volume, numbers.relaxation, gradient, total, density, stiffness,
         )  # fmt: skip
         if substep == 0:
-            _diverge(offset, neighbor, gradient, total, velocity, state.divergence)
+            _diverge(offset, neighbor, gradient, total, source, velocity, state.divergence)
         upkeep *= np.float32(numbers.divergence_warm_start)
         pressure *= np.float32(numbers.warm_start)
         _push(offset, neighbor, gradient, total, upkeep, velocity)
         for _ in range(numbers.divergence_sweeps):
             _raise(
-                offset, neighbor, gradient, total, density, stiffness, velocity, np.float32(0.0),
-                upkeep, change,
+                offset, neighbor, gradient, total, source, density, stiffness, velocity,
+                np.float32(0.0), upkeep, change,
             )  # fmt: skip
             _push(offset, neighbor, gradient, total, change, velocity)
         driven[:] = velocity
@@ -125,7 +143,7 @@ def pressure_step(
         )  # fmt: skip
         for _ in range(numbers.sweeps):
             _raise(
-                offset, neighbor, gradient, total, density, stiffness, velocity,
+                offset, neighbor, gradient, total, source, density, stiffness, velocity,
                 np.float32(1.0) / step, pressure, change,
             )  # fmt: skip
             _push(offset, neighbor, gradient, total, change, velocity)
@@ -133,7 +151,7 @@ def pressure_step(
             place, velocity, frame, boxes.lower, boxes.upper, step, np.float32(numbers.mean_weight),
             before,
         )  # fmt: skip
-    _diverge(offset, neighbor, gradient, total, velocity, state.left)
+    _diverge(offset, neighbor, gradient, total, source, velocity, state.left)
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=FAST)
@@ -151,19 +169,19 @@ def _look_ahead(
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=FAST)
 def _diverge(
-    offset: Any, neighbor: Any, gradient: Any, total: Any, velocity: Any, out: Any
+    offset: Any, neighbor: Any, gradient: Any, total: Any, source: Any, velocity: Any, out: Any
 ) -> None:
     """Write the rate (N,) of ρ/ρ₀ of velocities (N, 3)."""
     count = len(out)
     for chunk in prange((count + CHUNK - 1) // CHUNK):
         for i in range(chunk * CHUNK, min(count, (chunk + 1) * CHUNK)):
-            out[i] = divergence(i, offset, neighbor, gradient, total, velocity)
+            out[i] = divergence(i, offset, neighbor, gradient, total, source, velocity)
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=FAST)
 def _raise(
-    offset: Any, neighbor: Any, gradient: Any, total: Any, density: Any, stiffness: Any,
-    velocity: Any, inverse_step: Any, pressure: Any, change: Any,
+    offset: Any, neighbor: Any, gradient: Any, total: Any, source: Any, density: Any,
+    stiffness: Any, velocity: Any, inverse_step: Any, pressure: Any, change: Any,
 ) -> None:  # fmt: skip
     """Raise pressures (N,) by divergence and excess density, to zero at least; write by how much.
 
@@ -172,7 +190,7 @@ def _raise(
     count = len(pressure)
     for chunk in prange((count + CHUNK - 1) // CHUNK):
         for i in range(chunk * CHUNK, min(count, (chunk + 1) * CHUNK)):
-            rate = divergence(i, offset, neighbor, gradient, total, velocity)
+            rate = divergence(i, offset, neighbor, gradient, total, source, velocity)
             rate += (density[i] - np.float32(1.0)) * inverse_step
             raised = max(pressure[i] + stiffness[i] * rate, np.float32(0.0))
             change[i] = raised - pressure[i]

@@ -88,6 +88,31 @@ def take_gradients(
             stiffness[i] = np.float32(relaxation) / (a * a + b * b + c * c + squares + regular)
 
 
+@njit(cache=True, parallel=True, error_model="numpy", fastmath=FAST)
+def add_sources(
+    place: Any, wall_offset: Any, wall: Any, wall_place: Any, wall_velocity: Any,
+    wall_volume: Any, radius: float, source: Any,
+) -> None:  # fmt: skip
+    """Write Σ V_b v_b·∇W over solids that move, at places (N, 3), 1/s."""
+    height = np.float32(8.0 / (math.pi * radius**4))
+    inverse, least = np.float32(1.0 / radius), np.float32(1e-8 * radius)
+    count = len(place)
+    for chunk in prange((count + CHUNK - 1) // CHUNK):
+        for i in range(chunk * CHUNK, min(count, (chunk + 1) * CHUNK)):
+            rate = np.float32(0.0)
+            for e in range(wall_offset[i], wall_offset[i + 1]):
+                j = wall[e]
+                dx = place[i, 0] - wall_place[0, j]
+                dy = place[i, 1] - wall_place[1, j]
+                dz = place[i, 2] - wall_place[2, j]
+                distance = np.float32(math.sqrt(dx * dx + dy * dy + dz * dz)) + least
+                factor = wall_volume[j] * height * slope(distance * inverse) / distance
+                along = dx * wall_velocity[j, 0] + dy * wall_velocity[j, 1]
+                along += dz * wall_velocity[j, 2]
+                rate += factor * along
+            source[i] = rate
+
+
 @njit(cache=True, error_model="numpy", fastmath=FAST)
 def spline(q: Any) -> Any:
     """Return the cubic spline kernel, 1 at q = 0."""
@@ -103,11 +128,18 @@ def slope(q: Any) -> Any:
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
-def divergence(i: int, offset: Any, neighbor: Any, gradient: Any, total: Any, velocity: Any) -> Any:
-    """Return Σ V (v_i - v_j)·∇W over the fluid, plus v_i·ΣV∇W over solids at rest, 1/s."""
+def divergence(
+    i: int, offset: Any, neighbor: Any, gradient: Any, total: Any, source: Any, velocity: Any
+) -> Any:
+    """Return Σ V (v_i - v_j)·∇W over fluid and solids, 1/s.
+
+    The part of v_j of solids is `source` (N,), see `add_sources`; it is empty where they rest.
+    """
     rate = (
         velocity[i, 0] * total[i, 0] + velocity[i, 1] * total[i, 1] + velocity[i, 2] * total[i, 2]
     )
+    if len(source):
+        rate -= source[i]
     for e in range(offset[i], offset[i + 1]):
         j = neighbor[e]
         rate -= (

@@ -35,7 +35,7 @@ class CompiledStep:
     def __call__(
         self,
         particles: Particles,
-        searched: Tensor,
+        searched: Particles,
         pressures: tuple[Tensor, Tensor],
         boxes: Boxes,
         numbers: Numbers,
@@ -45,14 +45,15 @@ class CompiledStep:
 
         Args:
             particles: N fluid particles and the solid ones, float32 on the CPU.
-            searched: (N, 3) places at which neighbors are searched, m.
+            searched: The particles where neighbors are searched.
             pressures: (N,) m²/s, of the phases of divergence and density.
             boxes: Scene of each frame.
             numbers: Numbers of the step.
             substeps: Number of substeps.
         """
-        fluid, solids = self._tables(particles.moved(searched, particles.velocity))
-        walls = Walls(solids.place, self._solid_volumes(particles, solids))
+        fluid, solids = self._tables(searched)
+        rates = as_array(searched.solid_velocity)[solids.row if searched.solids_move else slice(0)]
+        walls = Walls(solids.place, self._solid_volumes(particles, solids), rates)
         lists = near_lists(fluid, solids, particles.scene.support_radius)
         set_threads(len(particles))
         values = (particles.position, particles.velocity, *pressures)
@@ -64,7 +65,9 @@ class CompiledStep:
         def describe() -> tuple[Neighbors, Tensor]:
             neighbor, offset = in_rows(fluid.row, lists.offset, lists.neighbor)
             described = np.empty((len(place), 14), np.float32)
-            density_and_walls(place, *lists, *walls, numbers.radius, numbers.volume, described)
+            density_and_walls(
+                place, *lists, walls.place, walls.volume, numbers.radius, numbers.volume, described
+            )
             particle = np.repeat(np.arange(len(place)), np.diff(offset))
             edges = Neighbors(*map(torch.from_numpy, (particle, neighbor, offset)))
             return edges, rows(described)
@@ -79,7 +82,8 @@ class CompiledStep:
         )
 
     def _solid_volumes(self, particles: Particles, solids: CellTable) -> NDArray[np.float32]:
-        radius = particles.scene.support_radius
+        """Return the volumes of the solids, m³, in the order of their table."""
+        radius, moving = particles.scene.support_radius, particles.solids_move
 
         def volumes(position: Tensor, frame: Tensor) -> NDArray[np.float32]:
             alone, none = CellTables()(_as_fluid(particles))
@@ -88,12 +92,15 @@ class CompiledStep:
             # Both tables sort the same particles, maybe into other cells.
             of_row = np.empty_like(volume)
             of_row[alone.row] = volume
-            ordered: NDArray[np.float32] = of_row[solids.row]
-            return ordered
+            # Solids that move are in another order at each search.
+            return of_row if moving else of_row[solids.row]
 
-        return self._volumes.get(
-            (particles.solid_position, particles.solid_frame), (radius, particles.frames), volumes
+        found = self._volumes.get(
+            (particles.solid_position, particles.solid_frame),
+            (radius, particles.frames, moving),
+            volumes,
         )
+        return found[solids.row] if moving else found
 
 
 def _as_fluid(particles: Particles) -> Particles:

@@ -24,7 +24,8 @@ class Edges:
         particle: (E,) fluid particle of each edge.
         neighbor: (E,) fluid particle, or of an edge to a solid 0.
         wet: (E,) whether the neighbor is fluid.
-        place: (E, 3) of the solid neighbor, m.
+        place: (E, 3) of the solid neighbor in the middle of the substeps, m.
+        speed: (E, 3) of the solid neighbor, m/s; None where solids rest.
         volume: (E,) of the neighbor, m³.
         own_volume: Of a fluid particle, m³.
         radius: Support radius, m.
@@ -35,6 +36,7 @@ class Edges:
     neighbor: Tensor
     wet: Tensor
     place: Tensor
+    speed: Tensor | None
     volume: Tensor
     own_volume: float
     radius: float
@@ -49,21 +51,28 @@ class Edges:
         volumes = torch.cat([solids.new_full((count,), own_volume), solids])
         both = torch.cat([particles.position, particles.solid_position])
         wet = edges.neighbor < count
+        speed = None
+        if particles.solids_move:
+            at_rest = torch.zeros_like(particles.position)
+            speeds = torch.cat([at_rest, particles.solid_velocity.to(at_rest.dtype)])
+            speed = speeds.index_select(0, edges.neighbor)
         return cls(
             particle=edges.particle,
             neighbor=edges.neighbor.where(wet, 0),
             wet=wet,
             place=both.index_select(0, edges.neighbor),
+            speed=speed,
             volume=volumes.index_select(0, edges.neighbor),
             own_volume=own_volume,
             radius=scene.support_radius,
             count=count,
         )
 
-    def at(self, position: Tensor) -> Gradients:
-        """Return the gradients at positions (N, 3), m."""
+    def at(self, position: Tensor, time: float = 0.0) -> Gradients:
+        """Return the gradients at positions (N, 3), m, at a time from the middle, s."""
         other = position.index_select(0, self.neighbor)
-        other = torch.where(self.wet[:, None], other, self.place)
+        place = self.place if self.speed is None else self.place + time * self.speed
+        other = torch.where(self.wet[:, None], other, place)
         offset = position.index_select(0, self.particle) - other
         distance = torch.linalg.vector_norm(offset, dim=1) + 1e-8 * self.radius
         gradient = (self.volume * spline_slope(distance, self.radius) / distance)[:, None] * offset
@@ -118,7 +127,7 @@ class Gradients:
     stiffness: Tensor
 
     def divergence(self, velocity: Tensor) -> Tensor:
-        """Return D v, the rate of ρ/ρ₀ (N,), 1/s; solids rest."""
+        """Return D v, the rate of ρ/ρ₀ (N,), 1/s."""
         return self.edges.sum((self.gradient * self._relative(velocity)).sum(dim=1))
 
     def push(self, pressure: Tensor) -> Tensor:
@@ -141,4 +150,6 @@ class Gradients:
         """Return v_i - v_j of each edge, (E, 3)."""
         edges = self.edges
         other = velocity.index_select(0, edges.neighbor) * edges.wet[:, None]
+        if edges.speed is not None:
+            other = other + edges.speed
         return velocity.index_select(0, edges.particle) - other

@@ -45,7 +45,7 @@ class PressureStep(Prior):
     :math:`D_i v = \sum_j V_j (v_i - v_j)·∇W_{ij}` is the rate of ρ/ρ₀; r is the support radius, W
     the cubic spline, V = (2R)³ the volume of a particle of radius R, and V_j that of a solid, 1/ΣW
     over the solids around it (Akinci et al. 2012). The push is antisymmetric, so it conserves
-    momentum.
+    momentum. Solids that move go straight on within a step.
 
     Args:
         searches: Number of neighbor searches in a step.
@@ -118,8 +118,9 @@ class PressureStep(Prior):
         zero = particles.position.new_zeros(len(particles))
         with record_function("prior"):
             outcome = first = advance(particles, (zero, zero))
+            searched = particles.scene.time_step / self.searches
             for _ in range(self.searches - 1):
-                outcome = advance(outcome.state, outcome.pressures)
+                outcome = advance(outcome.state.after_drift(searched), outcome.pressures)
             position, velocity = outcome.state.position, outcome.state.velocity
             if not described:
                 return Guess(position, velocity)
@@ -157,17 +158,18 @@ class PressureStep(Prior):
             particles, self._middle(particles), pressures, boxes, numbers, self.substeps
         )
 
-    def _middle(self, particles: Particles) -> Tensor:
-        """Return the places (N, 3) in the middle of the substeps of one search, m."""
+    def _middle(self, particles: Particles) -> Particles:
+        """Return the particles in the middle of the substeps of one search."""
         half = particles.scene.time_step / (2 * self.searches)
         box = Box.of(particles, self.clearance)
-        return box.inside(particles.position + half * particles.velocity)
+        place = box.inside(particles.position + half * particles.velocity)
+        return particles.moved(place, particles.velocity).after_drift(half)
 
     def _reference(self, particles: Particles, pressures: tuple[Tensor, Tensor]) -> Outcome:
         """Return the outcome of the substeps of one search, in torch."""
         scene = particles.scene
         box = Box.of(particles, self.clearance)
-        searched = particles.moved(self._middle(particles), particles.velocity)
+        searched = self._middle(particles)
         solids = self._volumes.get(
             (particles.solid_position, particles.solid_frame),
             (scene.support_radius, particles.frames),
@@ -181,9 +183,10 @@ class PressureStep(Prior):
         position, velocity = particles.position, particles.velocity
         upkeep, pressure = pressures
         divergence = None
-        for _ in range(self.substeps):
+        for substep in range(self.substeps):
             before = velocity
-            at = edges.at(box.inside(position + self.ahead * step * velocity))
+            time = (substep + self.ahead - self.substeps / 2) * step
+            at = edges.at(box.inside(position + self.ahead * step * velocity), time)
             divergence = at.divergence(velocity) if divergence is None else divergence
             upkeep = self.divergence_warm_start * upkeep
             pressure = self.warm_start * pressure

@@ -39,7 +39,10 @@ def roll_out(
         start: Start on the module's device.
     """
     models = module.named_models()
-    states = {name: rollout(model, start.state, start.steps) for name, model in models.items()}
+    states = {
+        name: rollout(model, start.state, start.steps, start.solids)
+        for name, model in models.items()
+    }
     for references in reference_rollout(start, module.model.integrator):
         with trainer.precision_plugin.forward_context():
             predicted = {name: next(model_states) for name, model_states in states.items()}

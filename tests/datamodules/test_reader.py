@@ -15,8 +15,11 @@ import numpy as np
 import pytest
 import torch
 
-from datamodules.reader import FrameReader
+from datamodules.reader import FrameReader, read_motion
+from datamodules.rollout_starts import HDF5RolloutStarts
+from datamodules.transitions import TransitionDataset, samples_in
 from fluidsnet.errors import UserError
+from fluidsnet.particles import Transitions
 
 Write = Callable[..., Path]
 
@@ -152,14 +155,36 @@ def test_a_file_that_is_gone_is_named(write_file: Write) -> None:
         reader.fluid("00000", 0)
 
 
-def test_solids_that_move_are_refused(write_file: Write) -> None:
-    path = write_file("train.h5", (3, 5, 2))
-    with h5py.File(path, "a") as file:
-        del file["00000/solid_position"]
+def test_solids_that_move_are_read_with_their_frame(write_file: Write) -> None:
+    path = write_file("test.h5", (4, 2, 3), (4, 2, 5))
+    random = np.random.default_rng(1)
+    with h5py.File(path, "r+") as file:
+        group = file["00000"]
+        del group["solid_position"]
         for name in ("solid_position", "solid_velocity"):
-            file[f"00000/{name}"] = np.zeros((3, 2, 3))
-    with pytest.raises(UserError, match="/00000 move"):
-        FrameReader(path)
+            group[name] = random.uniform(size=(4, 3, 3)).astype(np.float32)
+        expected = group["solid_position"][...], group["solid_velocity"][...]
+    reader = FrameReader(path)
+    state = reader.state("00000", 2, 1)
+    assert state.solids_move and not reader.state("00001", 2, 1).solids_move
+    np.testing.assert_array_equal(state.solid_position, expected[0][2])
+    np.testing.assert_array_equal(state.solid_velocity, expected[1][2])
+    motion = read_motion(path, 0.02, frame=1)
+    assert motion is not None and read_motion(path, 0.02, simulation="00001") is None
+    np.testing.assert_array_equal(motion[2][0], expected[0][3])
+    with pytest.raises(UserError, match=r"solids of /00000 move, and their motion is known for 4"):
+        motion[3]
+    starts = HDF5RolloutStarts(reader, 1, steps=3, beyond_truth=True)
+    assert starts[0].solids is not None and starts[1].solids is None
+    with pytest.raises(UserError, match=r"known for 3 steps; set data.rollout_steps to 3 or"):
+        HDF5RolloutStarts(reader, 1, steps=4, beyond_truth=True)
+    samples = samples_in([reader], 2, (0, None), 1)
+    dataset = TransitionDataset(samples, 1, 2)
+    both = Transitions.collate([dataset[0], dataset[len(samples) - 1]])
+    assert both.solids is not None and both.state.solids_move
+    assert both.solids.position.shape == (2, 8, 3)
+    np.testing.assert_array_equal(both.solids[1][0][:3], expected[0][1])
+    assert not both.solids.velocity[:, 3:].any()
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,17 @@ def both_paths(prior: PressureStep, particles: Particles) -> tuple[list[Tensor],
     return first, second
 
 
+def with_moving_walls(state: Particles, velocity: tuple[float, float, float]) -> Particles:
+    speed = torch.tensor(velocity).expand(len(state.solid_position), 3)
+    turn = 0.3 * torch.randn(speed.shape, generator=torch.Generator().manual_seed(3))
+    return state.with_solids(state.solid_position, speed + turn)
+
+
 CASES = {
+    "walls that move": lambda: with_moving_walls(block(), (0.4, 0.3, -0.6)),
+    "walls of one frame move": lambda: Particles.collate(
+        [block(), with_moving_walls(block(4, 1), (0.4, 0.0, 0.0))]
+    ),
     "walls": lambda: block(),
     "no walls": lambda: block(walls=False),
     "two frames": lambda: Particles.collate(
@@ -112,6 +122,26 @@ def test_a_mixed_batch_steps_as_its_frames_alone() -> None:
     alone = [prior(frame) for frame in frames]
     torch.testing.assert_close(batch.position, torch.cat([it.position for it in alone]))
     torch.testing.assert_close(batch.velocity, torch.cat([it.velocity for it in alone]))
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_fluid_and_walls_in_a_moving_frame_step_as_at_rest(compiled: bool) -> None:
+    """Galilean invariance: solids that move with the fluid act on it as solids at rest."""
+    wide = Scene.single(
+        (-9.0, -9.0, -9.0), (9.0, 9.0, 9.0), GRAVITY, RADIUS, 4 * RADIUS, 0.02, viscosity=0.05
+    )
+    state, prior = replace(block(), scene=wide), PressureStep()
+    wind = torch.tensor([1.0, -0.5, 2.0])
+    carried = state.moved(state.position, state.velocity + wind).with_solids(
+        state.solid_position, wind.expand_as(state.solid_position)
+    )
+    with torch.no_grad() if compiled else disabled():
+        expected, found = prior(state), prior(carried)
+        still = prior(replace(carried, solids_move=False))
+    torch.testing.assert_close(found.position, expected.position + 0.02 * wind, atol=2e-5, rtol=0)
+    torch.testing.assert_close(found.velocity, expected.velocity + wind, atol=2e-3, rtol=0)
+    # Walls that the step takes to be at rest do something else.
+    assert (still.velocity - expected.velocity - wind).abs().max() > 0.1
 
 
 def test_permuted_particles_step_to_the_permuted_state() -> None:

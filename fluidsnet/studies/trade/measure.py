@@ -74,7 +74,7 @@ def measure(
 
     def add(run: int, frame: int, state: Particles) -> None:
         start = starts[run]
-        true = start.moved(*reader.fluid(simulation, runs[run][0] + frame))
+        true = reader.state(simulation, runs[run][0] + frame, 1)
         if run == len(runs) - 1:
             far.update(0, frame, {"model": state}, true, start)
         else:

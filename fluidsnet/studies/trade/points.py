@@ -19,6 +19,7 @@ from fluidsnet.baselines import TRIVIAL_PREDICTORS
 from fluidsnet.errors import UserError
 from fluidsnet.models import config_path, load
 from fluidsnet.particles import Particles
+from fluidsnet.rollout import with_solids
 from fluidsnet.studies.trade.options import ModelPoint, SolverPoint
 
 #: Start frame and number of frames of each continuation.
@@ -190,22 +191,30 @@ class ModelSteps(Point):
         self._model.step(reader.state(simulation, runs[0][0], self.stride))
         for run, (first, frames) in enumerate(runs):
             state = reader.state(simulation, first, self.stride)
-            for frame in range(self.stride, frames + 1, self.stride):
+            solids = reader.motion(simulation, first, self.stride)
+            for step, frame in enumerate(range(self.stride, frames + 1, self.stride), start=1):
                 wall, cpu = time.perf_counter(), time.process_time()
                 state = self._model.step(state)
                 wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+                state = with_solids(state, solids, step)
                 yield Continued(run, frame, state, wall / self.stride, cpu / self.stride)
             advance()
 
 
 def check_drawn(data: Path, simulation: str) -> None:
-    """Check that the solver can continue a simulation: one that `generate` drew in a box.
+    """Check that the solver can continue a simulation: one that `generate` drew, solids at rest.
 
     Raises:
         UserError: It is of another kind.
     """
     with h5py.File(data) as file:
         notes = file[simulation].attrs.get("scene_parameters", "{}")
+        moving = file[simulation]["solid_position"].ndim == 3
+    if moving:
+        raise UserError(
+            f"{data}: the solids of /{simulation} move, and the solver cannot be restarted with "
+            "them; set --solvers []."
+        )
     if not isinstance(json.loads(notes), list):
         raise UserError(
             f"{data}: /{simulation} is no scene that `fluidsnet generate` drew, and the solver "

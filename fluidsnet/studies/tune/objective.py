@@ -11,7 +11,7 @@ import torch
 
 from datamodules.reader import FrameReader
 from fluidsnet.model import Model
-from fluidsnet.particles import Particles
+from fluidsnet.particles import Particles, SolidMotion
 from fluidsnet.rollout import rollout
 
 #: Errors above this are those of a rollout that blew up, m or m/s.
@@ -63,7 +63,7 @@ class Objective:
         stride: int,
     ) -> None:
         self._near: list[list[Particles]] = []
-        self._far: list[tuple[Particles, int, Particles]] = []
+        self._far: list[tuple[Particles, int, Particles, SolidMotion | None]] = []
         for name in simulations:
             last = reader.frames[name] - 1
             starts = {round(k / samples * (last - 2 * stride)) for k in range(1, samples + 1)}
@@ -73,7 +73,8 @@ class Objective:
             ]
             reached = min(steps, last // stride)
             end = reader.state(name, reached * stride, stride)
-            self._far.append((reader.state(name, 0, stride), reached, end))
+            start, solids = reader.state(name, 0, stride), reader.motion(name, 0, stride)
+            self._far.append((start, reached, end, solids))
 
     @torch.no_grad()
     def __call__(self, model: Model) -> Errors:
@@ -81,13 +82,13 @@ class Objective:
         rows = []
         for start, true, later in self._near:
             first = model.step(start)
-            second = model.step(first)
+            second = model.step(first.with_solids_of(true))
             velocity = (first.velocity - true.velocity).square().sum(dim=1).mean()
             rows.append(torch.stack([_distance(first, true), _distance(second, later), velocity]))
         one, two, square = torch.stack(rows).mean(dim=0).tolist()
         ends = []
-        for start, steps, true in self._far:
-            (end,) = deque(rollout(model, start, steps), maxlen=1)
+        for start, steps, true, solids in self._far:
+            (end,) = deque(rollout(model, start, steps, solids), maxlen=1)
             ends.append(_distance(end, true))
         far = float(torch.stack(ends).mean())
         errors = (one, two, math.sqrt(square), far)
