@@ -12,17 +12,19 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from fluidsnet.errors import UserError
 from fluidsnet.export.speed_colors import speed_colors
 from fluidsnet.reporting.mesh_backdrop import MeshBackdrop
-from fluidsnet.reporting.rollout_frames import FirstRollout, Frames, speed, speed_limit
+from fluidsnet.reporting.rollout_frames import FirstRollout, Frame, Frames, speed, speed_limit
+
+_SOLID = 128  # gray of solid particles that move
 
 
 class RolloutMesh(FirstRollout, Callback):
     """Show the first rollout of ``predict`` and its truth in TensorBoard's tab "Mesh".
 
     Particles are points, colored by speed from blue to white (paper, figure 12) on the truth's
-    scale, in a domain of gray points. The truth is on the left and the prediction on the right of
-    one scene, `rollout_3d/truth_and_prediction`, so that they turn together; its step is that of
-    the rollout. Past the truth's end the left domain is empty. The text `rollout_3d/legend`
-    describes the scene.
+    scale, in a domain of gray points; solids that move are gray, too. The truth is on the left and
+    the prediction on the right of one scene, `rollout_3d/truth_and_prediction`, so that they turn
+    together; its step is that of the rollout. Past the truth's end the left domain is empty. The
+    text `rollout_3d/legend` describes the scene.
 
     Args:
         times: Number of states shown, evenly spread over the rollout. TensorBoard keeps ten
@@ -52,8 +54,8 @@ class RolloutMesh(FirstRollout, Callback):
         rows = np.sort(np.random.default_rng(0).permutation(count)[: self.particles])
         frames: Frames = {
             label: {
-                step: (position[rows], velocity[rows])
-                for step, (position, velocity) in self.frames[name].items()
+                step: Frame(position[rows], velocity[rows], solid)
+                for step, (position, velocity, solid) in self.frames[name].items()
             }
             for label, name in (("truth", "truth"), ("prediction", "model"))
         }
@@ -64,12 +66,14 @@ class RolloutMesh(FirstRollout, Callback):
             points, colors = [backdrop.points], [backdrop.colors]
             for name, shift in zip(frames, backdrop.shifts, strict=True):
                 if step in frames[name]:
-                    position, velocity = frames[name][step]
+                    position, velocity, solid = frames[name][step]
                     near = backdrop.near(position)
                     hidden[name] += int((~near).sum())
                     points.append(position[near] + shift)
                     paint = speed_colors(speed(velocity[near]), limit)
                     colors.append(np.rint(255 * paint).astype(np.uint8))
+                    points.append(solid + shift)
+                    colors.append(np.full(solid.shape, _SOLID, np.uint8))
             for logger in loggers:
                 logger.experiment.add_mesh(
                     "rollout_3d/truth_and_prediction",

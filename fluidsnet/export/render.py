@@ -7,7 +7,7 @@ y is up. Color is speed, from blue at rest to white, as in Fig. 12 of the paper.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _BACKGROUND, _FLOOR, _LINES, _TEXT = "#0c1016", "#171d27", "#6d7a8c", "#e4e9f0"
+
+_SOLID = 0.5  # gray of solid particles
 
 _DPI = 100
 _PANEL = (640, 460)  # greatest size of a panel, pixels
@@ -41,11 +43,13 @@ class Panel:
         title: Title, such as ``truth (IISPH), 0.50 s``.
         position: (N, 3), m, y up.
         speed: (N,), m/s.
+        solid: (K, 3) of solid particles to show, m; they are gray.
     """
 
     title: str
     position: NDArray[Any]
     speed: NDArray[Any]
+    solid: NDArray[Any] = field(default_factory=lambda: np.empty((0, 3)))
 
 
 def side_by_side(
@@ -169,10 +173,11 @@ def _spheres(
     """Draw the particles.
 
     Returns:
-        Picture (height, width, 4) of red, green, blue, opacity; and the number of particles in it.
+        Picture (height, width, 4) of red, green, blue, opacity; and the number of fluid particles
+        in it.
     """
     width, height = camera.width * _SUPERSAMPLING, camera.height * _SUPERSAMPLING
-    position = np.asarray(panel.position, float)
+    position = np.concatenate([np.asarray(panel.position, float), panel.solid])
     with np.errstate(all="ignore"):
         center = camera.project(position)
     x, y, depth = center.T
@@ -209,7 +214,9 @@ def _spheres(
     )
     normal = np.vstack([normal, np.sqrt(np.maximum(1 - (normal**2).sum(axis=0), 0))])
     light = 0.62 + 0.43 * np.clip(_TOWARDS_LIGHT @ normal, 0, 1)
-    paint = speed_colors(panel.speed[order], top)
+    wet = order < len(panel.position)
+    paint = np.full((len(order), 3), _SOLID)
+    paint[wet] = speed_colors(panel.speed[order[wet]], top)
     image = np.zeros((height * width, 4), dtype=np.float32)
     image[filled, :3] = np.clip(paint[particle] * light[:, None], 0, 1)
     image[filled, 3] = 1
@@ -217,4 +224,4 @@ def _spheres(
     blocks = image.reshape(shape).sum(axis=(1, 3))
     opacity = blocks[..., 3:]
     blocks[..., :3] /= np.maximum(opacity, 1)
-    return np.concatenate([blocks[..., :3], opacity / _SUPERSAMPLING**2], axis=2), len(order)
+    return np.concatenate([blocks[..., :3], opacity / _SUPERSAMPLING**2], axis=2), int(wet.sum())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -21,8 +21,21 @@ from fluidsnet.particles import Particles, RolloutStart
 from fluidsnet.rollout import RolloutObserver, reference_rollout, rollout
 from fluidsnet.scene import Scene
 
-#: Position (N, 3), m, and velocity (N, 3), m/s.
-Frame = tuple[NDArray[np.float32], NDArray[np.float32]]
+
+class Frame(NamedTuple):
+    """State of a predictor.
+
+    Attributes:
+        position: (N, 3) m.
+        velocity: (N, 3) m/s.
+        solid: (K, 3) of the solid particles that move, m.
+    """
+
+    position: NDArray[np.float32]
+    velocity: NDArray[np.float32]
+    solid: NDArray[np.float32]
+
+
 #: Frames by predictor and number of steps.
 Frames = dict[str, dict[int, Frame]]
 
@@ -86,11 +99,15 @@ class FirstRollout(RolloutObserver, ABC):
 
 
 def keep_frames(frames: Frames, step: int, states: Mapping[str, Particles]) -> None:
-    """Store position and velocity after a step, as NumPy arrays, for each predictor."""
+    """Store the frame after a step, as NumPy arrays, for each predictor."""
     for name, kept in frames.items():
         if name in states:
-            position, velocity = states[name].position, states[name].velocity
-            kept[step] = position.float().cpu().numpy(), velocity.float().cpu().numpy()
+            state = states[name]
+            solid = state.solid_position[:0]
+            if state.solids_move:
+                solid = state.solid_position[state.solid_velocity.any(dim=1)]
+            values = (state.position, state.velocity, solid)
+            kept[step] = Frame(*(value.float().cpu().numpy() for value in values))
 
 
 def speed_limit(frames: Frames) -> float:
@@ -101,7 +118,7 @@ def speed_limit(frames: Frames) -> float:
     """
     known = any(step > 0 for step in frames.get("truth", {}))
     shown = [frames["truth"]] if known else list(frames.values())
-    return speed_scale([speed(velocity) for kept in shown for _, velocity in kept.values()])
+    return speed_scale([speed(velocity) for kept in shown for _, velocity, _ in kept.values()])
 
 
 def speed(velocity: NDArray[Any]) -> NDArray[np.float64]:
@@ -117,17 +134,17 @@ def panel(name: str, time: float, frame: Frame | None) -> Panel:
     Args:
         name: Name of the predictor.
         time: Time since the start, s.
-        frame: Position and velocity; None for an empty panel.
+        frame: State; None for an empty panel.
     """
     title = f"{name.replace('_', ' ')}, {time:.2f} s"
     if frame is None:
         return Panel(f"no {title}", np.empty((0, 3)), np.empty(0))
-    position, velocity = frame
+    position, velocity, solid = frame
     finite = np.isfinite(np.hstack([position, velocity])).all(axis=1, keepdims=True)
     if not np.all(finite):
         title += ", not finite"
     # The renderer counts particles with a position of NaN.
-    return Panel(title, np.where(finite, position, np.nan), speed(velocity))
+    return Panel(title, np.where(finite, position, np.nan), speed(velocity), solid)
 
 
 def draw_frames(

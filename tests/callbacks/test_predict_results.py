@@ -31,7 +31,7 @@ from datamodules import SPHDataModule
 from fluidsnet import FluidsNet
 from fluidsnet.export.vtkhdf import read_field_data, read_frame
 from fluidsnet.features import NoGlobalFeature
-from fluidsnet.reporting.rollout_frames import speed_limit
+from fluidsnet.reporting.rollout_frames import Frame, speed_limit
 
 NO_TABLE = "No state of the rollouts has a truth: there is no table of rollout metrics."
 
@@ -171,8 +171,9 @@ def test_the_part_with_a_truth_has_a_table(sample: Path, tmp_path: Path) -> None
 
 
 def test_the_color_scale_is_the_truths_if_it_is_known_after_the_start() -> None:
-    def frame(speed: float) -> Any:
-        return np.zeros((2, 3), np.float32), np.full((2, 3), speed / 3**0.5, np.float32)
+    def frame(speed: float) -> Frame:
+        still = np.zeros((2, 3), np.float32)
+        return Frame(still, still + np.float32(speed / 3**0.5), still[:0])
 
     assert speed_limit({"truth": {0: frame(1), 2: frame(3)}, "a": {2: frame(9)}}) < 3.01
     assert speed_limit({"truth": {0: frame(0)}, "a": {0: frame(0), 2: frame(9)}}) > 8.9

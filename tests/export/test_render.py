@@ -39,6 +39,18 @@ def fluid(picture: NDArray[Any]) -> NDArray[Any]:
     return picture[picture[..., 2] > 0.45]
 
 
+def test_solids_are_gray_and_hide_what_is_behind_them(tmp_path: Path) -> None:
+    path = tmp_path / "picture.png"
+    behind, before = block(4) - np.array([0, 0, 0.4]), block(14) + np.array([0, 0, 0.3])
+    alone, hidden = Panel("", behind, np.zeros(64)), Panel("", behind, np.zeros(64), before)
+    side_by_side(path, [alone, hidden], LOWER, UPPER, RADIUS, speed_max=1.0)
+    left, right = halves(path)
+    seen, covered = (((it[..., 2] - it[..., 0]) > 0.3).sum() for it in (left, right))
+    assert seen > 500 and covered < 0.2 * seen
+    gray = right[(np.ptp(right, axis=-1) < 0.06) & (right.mean(axis=-1) > 0.25)]
+    assert len(gray) > 5000
+
+
 def test_faster_is_whiter_on_one_scale(tmp_path: Path) -> None:
     path = tmp_path / "picture.png"
     side_by_side(path, [panel(0.2), panel(2.0)], LOWER, UPPER, RADIUS)
