@@ -42,7 +42,7 @@ def with_run(arguments: list[str]) -> list[str]:
         raise UserError("--run names a run to test or predict with; fit takes --config.")
     source, config = run_path(parsed.run), config_path(parsed.run)
     folder = RUNS / source.name if is_shipped(parsed.run) else source
-    weights = [f"--ckpt_path={checkpoint_path(source)}"] if has_weights(source) else []
+    weights = [f"--ckpt_path={checkpoint_path(source)}"] if has_weights(config) else []
     if folder != source:
         # Makes it the folder of a run, for the report.
         folder.mkdir(parents=True, exist_ok=True)

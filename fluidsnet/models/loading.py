@@ -46,7 +46,7 @@ def load(
             is to be changed.
     """
     path, config = run_path(run), config_path(run)
-    if path == config or not has_weights(path):
+    if path == config or not has_weights(config):
         model = _prior_alone(config, prior or {})
     elif prior:
         raise UserError(f"{path}: the prior of a trained network cannot be changed.")
@@ -73,9 +73,15 @@ def config_path(run: str | Path) -> Path:
     return config
 
 
-def has_weights(folder: Path) -> bool:
-    """Return whether a run saved checkpoints; a prior alone has none."""
-    return (folder / "checkpoints").exists()
+def has_weights(config: Path) -> bool:
+    """Return whether the model of a config has weights, which a prior alone has not.
+
+    Raises:
+        UserError: The file cannot be read or describes no FluidsNet.
+    """
+    target = (_described(config).get("init_args") or {}).get("target")
+    name = target.get("class_path") if isinstance(target, dict) else target
+    return str(name).rpartition(".")[2] != "PriorAlone"
 
 
 def _prior_alone(config: Path, prior: Mapping[str, Any]) -> Model:
@@ -107,7 +113,9 @@ def checkpoint_path(folder: Path) -> Path:
         path = folder / "checkpoints" / name
         if path.exists():
             return path
-    raise UserError(f"{folder} is not the folder of a run: {path} is missing.")
+    raise UserError(
+        f"{folder} has no weights: {path} is missing. A training writes it at its first validation."
+    )
 
 
 def read_checkpoint(folder: Path) -> dict[str, Any]:
@@ -137,12 +145,7 @@ def build(config: Path, grid_shape: GridShape, prior: Mapping[str, Any] | None =
     Raises:
         UserError: The file cannot be read or describes no FluidsNet.
     """
-    try:
-        described: dict[str, Any] = dict(yaml.safe_load(config.read_text())["model"])
-    except (OSError, TypeError, KeyError, ValueError, yaml.YAMLError) as error:
-        raise UserError(
-            f"{config} holds no `model:`; name a file such as configs/model/paper.yaml."
-        ) from error
+    described = _described(config)
     settings = with_current_names(dict(described.get("init_args") or {}))
     for name in _TRAINING:
         settings.pop(name, None)
@@ -163,3 +166,13 @@ def build(config: Path, grid_shape: GridShape, prior: Mapping[str, Any] | None =
     except (ValueError, TypeError) as error:
         raise UserError(f"{config} does not describe a FluidsNet: {error}") from error
     return module
+
+
+def _described(config: Path) -> dict[str, Any]:
+    """Return the ``model:`` of a config file."""
+    try:
+        return dict(yaml.safe_load(config.read_text())["model"])
+    except (OSError, TypeError, KeyError, ValueError, yaml.YAMLError) as error:
+        raise UserError(
+            f"{config} holds no `model:`; name a file such as configs/model/paper.yaml."
+        ) from error
