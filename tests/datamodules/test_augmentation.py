@@ -13,7 +13,7 @@ from torch import Tensor
 from datamodules import SPHDataModule
 from datamodules.augmentation import Augmentation, BoxSymmetry
 from fluidsnet.errors import UserError
-from fluidsnet.particles import Particles, Transitions
+from fluidsnet.particles import Particles, SolidStates, Transitions
 from fluidsnet.scene import Scene
 
 Make = Callable[..., Particles]
@@ -100,6 +100,21 @@ def test_a_swap_would_leave_a_box_that_is_not_square(transitions: Transitions) -
     center = (before.state.scene.domain_lower + before.state.scene.domain_upper) / 2
     swapped = (before.state.position - center)[:, [2, 1, 0]] + center
     assert not inside(swapped, before.state.scene)
+
+
+def test_solids_that_move_go_where_their_symmetry_takes_them(transitions: Transitions) -> None:
+    start = transitions.state
+    steps = torch.arange(1, 3, device=start.position.device)[:, None, None] * start.scene.time_step
+    solids = SolidStates(
+        start.solid_position + steps * start.solid_velocity, start.solid_velocity.expand(2, -1, -1)
+    )
+    for after in draws(replace(transitions, solids=solids)):
+        assert after.solids is not None
+        # Straight on from the mapped start with the mapped velocity, as before.
+        torch.testing.assert_close(
+            after.solids.position, after.state.solid_position + steps * after.state.solid_velocity
+        )
+        assert torch.equal(after.solids.velocity[1], after.state.solid_velocity)
 
 
 def test_distances_to_fluid_and_solids_are_kept(transitions: Transitions) -> None:

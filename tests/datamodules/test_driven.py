@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -10,7 +12,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from datamodules import read_motion, read_state
+from datamodules import SPHDataModule, read_motion, read_state
 from datamodules.generate.dataset import generate
 from datamodules.generate.driven import StirredTank, WaveMaker
 from datamodules.generate.moving_solids import describe_solids, solids_from
@@ -18,8 +20,15 @@ from datamodules.generate.recipe import Recipe
 from datamodules.generate.scenes import SceneKind
 from datamodules.inspection import describe
 from fluidsnet import load
+from fluidsnet.calibration import measure_residuals
 from fluidsnet.errors import UserError
+from fluidsnet.features import ContinuousConvolutions, NoGlobalFeature, PriorState
+from fluidsnet.integrator import Displacement
+from fluidsnet.model import Model
+from fluidsnet.particles import SolidStates
+from fluidsnet.priors import PressureStep
 from fluidsnet.rollout import rollout
+from fluidsnet.target import DisplacementTarget
 
 PRIOR = Path(__file__).parents[2] / "configs" / "model" / "prior.yaml"
 RADIUS, FRAMES = 0.04, 13
@@ -108,6 +117,35 @@ def test_the_prior_feels_the_solid_move(driven: tuple[str, Path]) -> None:
         float((state.position - true.position).norm(dim=1).mean()) for state in (end, still)
     )
     assert error < 0.004 and error < 0.6 * without
+
+
+def test_a_network_trains_over_steps_beside_the_solid(
+    driven: tuple[str, Path], tmp_path: Path
+) -> None:
+    for split in ("train", "val"):
+        shutil.copy(driven[1], tmp_path / f"{split}.h5")
+    source = SPHDataModule(tmp_path, voxel_size=4 * RADIUS, steps=2, batch_size=2)
+    source.setup("fit")
+    torch.manual_seed(0)
+    model = Model(
+        source.grid_shape, prior=PressureStep(), inputs=PriorState(),
+        local=ContinuousConvolutions(8, 4), global_feature=NoGlobalFeature,
+        target=DisplacementTarget(), integrator=Displacement(),
+    )  # fmt: skip
+    model.set_statistics(source.statistics, source.time_step)
+    model.set_residuals(measure_residuals(model.prior, source.calibration_samples(4)))
+    batch = next(iter(source.train_dataloader()))
+    assert batch.solids is not None and batch.state.solids_move
+    assert len(batch.solids[1][0]) == len(batch.state.solid_position)
+    loss = model.loss(batch)
+    loss.backward()
+    assert all(it.grad is not None and it.grad.isfinite().all() for it in model.parameters())
+    # The second step is beside the solid as it is then.
+    stays = SolidStates(
+        batch.state.solid_position.expand(2, -1, -1),
+        0 * batch.state.solid_velocity.expand(2, -1, -1),
+    )
+    assert abs(float((model.loss(replace(batch, solids=stays)) / loss).detach()) - 1) > 1e-3
 
 
 def test_solids_come_back_from_json() -> None:
