@@ -16,10 +16,10 @@ from fluidsnet.kernels.near_lists import NearLists
 from fluidsnet.kernels.sph_sums import (
     CHUNK,
     FAST,
-    add_sources,
     divergence,
     push_one,
     take_gradients,
+    take_inflow,
 )
 
 Array = NDArray[np.float32]
@@ -103,7 +103,10 @@ def pressure_step(
     before, driven = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
     change = np.empty(count, np.float32)
     moving = len(walls.velocity) > 0
-    wall_place, source = walls.place, np.zeros(count if moving else 0, np.float32)
+    # Rates that are added to the divergence: of the walls, and with the excess density.
+    inflow, excess = np.zeros(count, np.float32), np.empty(count, np.float32)
+    # Of the same layout as the places at rest, or numba takes both for strided and is slower.
+    wall_place = np.empty(walls.place.shape, np.float32) if moving else walls.place
     middle, total, density = state.middle, state.surface, state.density
     upkeep, pressure = state.divergence_pressure, state.pressure
     offset, neighbor = lists.offset, lists.neighbor
@@ -116,24 +119,23 @@ def pressure_step(
         )  # fmt: skip
         if moving:
             time = np.float32(substep + numbers.ahead - substeps / 2) * step
-            wall_place = walls.place + time * walls.velocity.T
-            add_sources(
+            _carry(walls.place, walls.velocity, time, wall_place)
+            take_inflow(
                 middle, lists.wall_offset, lists.wall, wall_place, walls.velocity, walls.volume,
-                numbers.radius, source,
+                numbers.radius, inflow,
             )  # fmt: skip
         take_gradients(
             middle, offset, neighbor, lists.wall_offset, lists.wall, wall_place, walls.volume,
             numbers.radius, numbers.volume, numbers.relaxation, gradient, total, density, stiffness,
         )  # fmt: skip
         if substep == 0:
-            _diverge(offset, neighbor, gradient, total, source, velocity, state.divergence)
+            _diverge(offset, neighbor, gradient, total, velocity, inflow, state.divergence)
         upkeep *= np.float32(numbers.divergence_warm_start)
         pressure *= np.float32(numbers.warm_start)
         _push(offset, neighbor, gradient, total, upkeep, velocity)
         for _ in range(numbers.divergence_sweeps):
             _raise(
-                offset, neighbor, gradient, total, source, density, stiffness, velocity,
-                np.float32(0.0), upkeep, change,
+                offset, neighbor, gradient, total, stiffness, velocity, inflow, upkeep, change,
             )  # fmt: skip
             _push(offset, neighbor, gradient, total, change, velocity)
         driven[:] = velocity
@@ -141,17 +143,25 @@ def pressure_step(
             frame, middle, offset, neighbor, gradient, total, density, driven, boxes.viscosity,
             boxes.gravity, step, numbers.radius, pressure, velocity,
         )  # fmt: skip
+        _exceed(density, inflow, np.float32(1.0) / step, excess)
         for _ in range(numbers.sweeps):
             _raise(
-                offset, neighbor, gradient, total, source, density, stiffness, velocity,
-                np.float32(1.0) / step, pressure, change,
+                offset, neighbor, gradient, total, stiffness, velocity, excess, pressure, change,
             )  # fmt: skip
             _push(offset, neighbor, gradient, total, change, velocity)
         _move(
             place, velocity, frame, boxes.lower, boxes.upper, step, np.float32(numbers.mean_weight),
             before,
         )  # fmt: skip
-    _diverge(offset, neighbor, gradient, total, source, velocity, state.left)
+    _diverge(offset, neighbor, gradient, total, velocity, inflow, state.left)
+
+
+@njit(cache=True, parallel=True, error_model="numpy", fastmath=FAST)
+def _carry(place: Any, velocity: Any, time: Any, out: Any) -> None:
+    """Write the places (3, M) of solids a time (s) later, given their velocities (M, 3)."""
+    for i in prange(len(velocity)):
+        for axis in range(3):
+            out[axis, i] = place[axis, i] + time * velocity[i, axis]
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=FAST)
@@ -169,32 +179,35 @@ def _look_ahead(
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=FAST)
 def _diverge(
-    offset: Any, neighbor: Any, gradient: Any, total: Any, source: Any, velocity: Any, out: Any
+    offset: Any, neighbor: Any, gradient: Any, total: Any, velocity: Any, inflow: Any, out: Any
 ) -> None:
-    """Write the rate (N,) of ρ/ρ₀ of velocities (N, 3)."""
+    """Write the rate (N,) of ρ/ρ₀ of velocities (N, 3), with that of solids that move."""
     count = len(out)
     for chunk in prange((count + CHUNK - 1) // CHUNK):
         for i in range(chunk * CHUNK, min(count, (chunk + 1) * CHUNK)):
-            out[i] = divergence(i, offset, neighbor, gradient, total, source, velocity)
+            out[i] = divergence(i, offset, neighbor, gradient, total, velocity) + inflow[i]
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=FAST)
 def _raise(
-    offset: Any, neighbor: Any, gradient: Any, total: Any, source: Any, density: Any,
-    stiffness: Any, velocity: Any, inverse_step: Any, pressure: Any, change: Any,
+    offset: Any, neighbor: Any, gradient: Any, total: Any, stiffness: Any, velocity: Any,
+    added: Any, pressure: Any, change: Any,
 ) -> None:  # fmt: skip
-    """Raise pressures (N,) by divergence and excess density, to zero at least; write by how much.
-
-    The excess density counts by the inverse substep; zero leaves it out.
-    """
+    """Raise pressures (N,) by divergence and added rates, to zero at least; write by how much."""
     count = len(pressure)
     for chunk in prange((count + CHUNK - 1) // CHUNK):
         for i in range(chunk * CHUNK, min(count, (chunk + 1) * CHUNK)):
-            rate = divergence(i, offset, neighbor, gradient, total, source, velocity)
-            rate += (density[i] - np.float32(1.0)) * inverse_step
+            rate = divergence(i, offset, neighbor, gradient, total, velocity) + added[i]
             raised = max(pressure[i] + stiffness[i] * rate, np.float32(0.0))
             change[i] = raised - pressure[i]
             pressure[i] = raised
+
+
+@njit(cache=True, parallel=True, error_model="numpy", fastmath=FAST)
+def _exceed(density: Any, inflow: Any, inverse_step: Any, out: Any) -> None:
+    """Write the rates (N,) that remove the excess density in a substep, and those of the walls."""
+    for i in prange(len(out)):
+        out[i] = (density[i] - np.float32(1.0)) * inverse_step + inflow[i]
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=FAST)

@@ -89,11 +89,11 @@ def take_gradients(
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=FAST)
-def add_sources(
+def take_inflow(
     place: Any, wall_offset: Any, wall: Any, wall_place: Any, wall_velocity: Any,
-    wall_volume: Any, radius: float, source: Any,
+    wall_volume: Any, radius: float, inflow: Any,
 ) -> None:  # fmt: skip
-    """Write Σ V_b v_b·∇W over solids that move, at places (N, 3), 1/s."""
+    """Write -Σ V_b v_b·∇W over solids that move, the rate (N,) of ρ/ρ₀ that they add, 1/s."""
     height = np.float32(8.0 / (math.pi * radius**4))
     inverse, least = np.float32(1.0 / radius), np.float32(1e-8 * radius)
     count = len(place)
@@ -109,8 +109,8 @@ def add_sources(
                 factor = wall_volume[j] * height * slope(distance * inverse) / distance
                 along = dx * wall_velocity[j, 0] + dy * wall_velocity[j, 1]
                 along += dz * wall_velocity[j, 2]
-                rate += factor * along
-            source[i] = rate
+                rate -= factor * along
+            inflow[i] = rate
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
@@ -128,18 +128,11 @@ def slope(q: Any) -> Any:
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
-def divergence(
-    i: int, offset: Any, neighbor: Any, gradient: Any, total: Any, source: Any, velocity: Any
-) -> Any:
-    """Return Σ V (v_i - v_j)·∇W over fluid and solids, 1/s.
-
-    The part of v_j of solids is `source` (N,), see `add_sources`; it is empty where they rest.
-    """
+def divergence(i: int, offset: Any, neighbor: Any, gradient: Any, total: Any, velocity: Any) -> Any:
+    """Return Σ V (v_i - v_j)·∇W over the fluid, plus v_i·ΣV∇W over solids at rest, 1/s."""
     rate = (
         velocity[i, 0] * total[i, 0] + velocity[i, 1] * total[i, 1] + velocity[i, 2] * total[i, 2]
     )
-    if len(source):
-        rate -= source[i]
     for e in range(offset[i], offset[i + 1]):
         j = neighbor[e]
         rate -= (
