@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import final
 
@@ -68,6 +68,18 @@ class BoxDrops(SceneKind):
                 )
         for path in self._obj_files():
             read_obj(path)
+
+    def scaled(self, factor: float) -> BoxDrops:
+        def longer(extent: Range, power: int = 1) -> Range:
+            return factor**power * extent[0], factor**power * extent[1]
+
+        return replace(
+            self,
+            width=longer(self.width),
+            height=longer(self.height),
+            depth=longer(self.depth),
+            volume=longer(self.volume, 3),
+        )
 
     def sample(self, random: np.random.Generator, particle_radius: float) -> DrawnScene:
         edges = [random.uniform(*extent) for extent in (self.width, self.height, self.depth)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,6 +40,7 @@ class Recipe:
         density0: Rest density, kg/m³.
         viscosity: Coefficient of the solver's standard viscosity, where the scene draws none.
         solver_parameters: Parameters of the pressure solver, under SPlisHSPlasH's names.
+        scale: Factor on the lengths of the scene; the particles stay as large.
     """
 
     scene: SceneKind
@@ -55,6 +57,7 @@ class Recipe:
     density0: float = 1000.0
     viscosity: float = 0.01
     solver_parameters: dict[str, float] | None = None
+    scale: float = 1.0
 
     def __post_init__(self) -> None:
         if not self.step > 0:
@@ -67,6 +70,8 @@ class Recipe:
             )
         if not self.particle_radius > 0:
             raise UserError(f"particle_radius is {self.particle_radius}; it must be above zero.")
+        if not 0 < self.scale < math.inf:
+            raise UserError(f"scale is {self.scale}; it must be above zero.")
         for name, least in (("frames", 2), *((split, 0) for split in SPLITS)):
             if getattr(self, name) < least:
                 raise UserError(f"{name} is {getattr(self, name)}; it must be at least {least}.")
@@ -87,6 +92,8 @@ class Recipe:
         """Return the recipe as JSON text, by which its data set is recognized."""
         scene = {f"scene.{name}": value for name, value in vars(self.scene).items()}
         described = {**vars(self), "scene": type(self.scene).__name__, **scene}
+        if self.scale == 1:
+            del described["scale"]
         return json.dumps(described, indent=2, default=str, sort_keys=True)
 
     def jobs(self, folder: Path, threads: int) -> dict[str, Job]:
@@ -144,7 +151,8 @@ class Recipe:
         self, random: np.random.Generator, wanted: Callable[[DrawnScene], bool]
     ) -> DrawnScene | None:
         """Draw scenes until one is accepted; return None after too many draws."""
-        draws = (self.scene.sample(random, self.particle_radius) for _ in range(_DRAWS))
+        kind = self.scene if self.scale == 1 else self.scene.scaled(self.scale)
+        draws = (kind.sample(random, self.particle_radius) for _ in range(_DRAWS))
         return next(filter(wanted, draws), None)
 
     def _entropy(self, split: str, number: int) -> list[int]:

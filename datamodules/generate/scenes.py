@@ -7,6 +7,7 @@ is y.
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -58,6 +59,10 @@ class SceneKind(ABC):
         overlap.
         """
 
+    @abstractmethod
+    def scaled(self, factor: float) -> SceneKind:
+        """Return this distribution with all lengths larger by a factor."""
+
 
 class OneBox(SceneKind):
     """Distribution of random scenes in one box; blocks are a whole number of particles wide.
@@ -67,6 +72,11 @@ class OneBox(SceneKind):
     """
 
     domain: Vector
+
+    def scaled(self, factor: float) -> SceneKind:
+        other = copy.copy(self)
+        other.domain = vector(factor * np.array(self.domain))
+        return other
 
     def room(self, particle_radius: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the lower and upper corner, in m, of the box in which fluid may start."""

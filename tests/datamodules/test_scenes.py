@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from datamodules.generate.bodies import Block, Body, Drop
+from datamodules.generate.box_drops import BoxDrops
+from datamodules.generate.driven import StirredTank, WaveMaker
+from datamodules.generate.recipe import Recipe
 from datamodules.generate.scenes import (
     CLEARANCE,
     CuboidBasin,
     DamBreak,
+    DrawnScene,
     DropPool,
     OneBox,
+    SceneKind,
 )
 from fluidsnet.errors import UserError
 
@@ -175,3 +183,26 @@ def test_a_body_too_large_is_cut_to_the_room() -> None:
     lower, upper = body.bounds()
     assert (lower >= 0.05).all() and (upper <= 0.95).all()
     np.testing.assert_allclose(upper - lower, 0.8)
+
+
+@pytest.mark.parametrize(
+    "kind", [DamBreak((1.5, 1.0, 1.5)), BoxDrops(bodies=(1, 1)), StirredTank(), WaveMaker()]
+)
+def test_a_scaled_scene_has_longer_bodies_of_the_same_particles(kind: SceneKind) -> None:
+    plain = Recipe(scene=kind, particle_radius=0.025, train=0, val=0, test=1)
+    wide = replace(plain, scale=2.0)
+    assert "scale" not in plain.description() and '"scale": 2.0' in wide.description()
+    ((one,), (two,)) = (recipe.starts().values() for recipe in (plain, wide))
+    np.testing.assert_allclose(two.domain, 2 * np.array(one.domain))
+
+    def extent(scene: DrawnScene) -> NDArray[np.float64]:
+        lower, upper = scene.bodies[0].bounds()
+        return upper - lower
+
+    # To whole particles, and of drops the same shape only in volume.
+    ratio = extent(two) / extent(one)
+    assert ratio.prod() == pytest.approx(8, rel=0.35)
+    job = wide.job("test", 0, two, Path("unused.h5"), 1)
+    assert job.header.particle_radius == 0.025
+    with pytest.raises(UserError, match="scale is 0; it must be above zero"):
+        replace(plain, scale=0)
