@@ -199,7 +199,8 @@ def test_what_is_not_finite_is_named_and_the_rest_is_drawn(
 def test_a_velocity_that_is_not_finite_leaves_its_particle_out() -> None:
     position, velocity = torch.rand(4, 3), torch.ones(4, 3)
     velocity[1, 2], velocity[2, 0], velocity[3] = torch.inf, torch.nan, 1e30
-    panel = rollout_frames.panel("a_b", 0.5, (position.numpy(), velocity.numpy()))
+    frame = rollout_frames.Frame(position.numpy(), velocity.numpy(), position[:0].numpy())
+    panel = rollout_frames.panel("a_b", 0.5, frame)
     assert panel.title == "a b, 0.50 s, not finite"
     assert np.isfinite(panel.position).all(axis=1).tolist() == [True, False, False, True]
     assert panel.speed[3] == pytest.approx(3**0.5 * 1e30)
