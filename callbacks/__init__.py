@@ -14,5 +14,6 @@ from callbacks.rollout_mesh import RolloutMesh as RolloutMesh
 from callbacks.rollout_metrics import RolloutMetrics as RolloutMetrics
 from callbacks.rollout_picture import RolloutPicture as RolloutPicture
 from callbacks.rollout_progress import RolloutProgress as RolloutProgress
+from callbacks.solid_writer import SolidWriter as SolidWriter
 from callbacks.speed_monitor import SpeedMonitor as SpeedMonitor
 from callbacks.trajectory_writer import TrajectoryWriter as TrajectoryWriter

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkIOHDF import vtkHDFReader
 
 from datamodules import SPHDataModule, read_motion, read_state
 from datamodules.generate.dataset import generate
@@ -22,15 +24,18 @@ from datamodules.inspection import describe
 from fluidsnet import load
 from fluidsnet.calibration import measure_residuals
 from fluidsnet.errors import UserError
+from fluidsnet.export.vtkhdf import read_frame
 from fluidsnet.features import ContinuousConvolutions, NoGlobalFeature, PriorState
 from fluidsnet.integrator import Displacement
+from fluidsnet.main import main
 from fluidsnet.model import Model
 from fluidsnet.particles import SolidStates
 from fluidsnet.priors import PressureStep
 from fluidsnet.rollout import rollout
 from fluidsnet.target import DisplacementTarget
 
-PRIOR = Path(__file__).parents[2] / "configs" / "model" / "prior.yaml"
+CONFIGS = Path(__file__).parents[2] / "configs"
+PRIOR = CONFIGS / "model" / "prior.yaml"
 RADIUS, FRAMES = 0.04, 13
 KINDS: dict[str, SceneKind] = {
     "stirred": StirredTank(domain=(1.0, 0.8, 1.0), paddle=(0.5, 0.6), speed=(3.0, 4.0)),
@@ -117,6 +122,40 @@ def test_the_prior_feels_the_solid_move(driven: tuple[str, Path]) -> None:
         float((state.position - true.position).norm(dim=1).mean()) for state in (end, still)
     )
     assert error < 0.004 and error < 0.6 * without
+
+
+def test_predict_writes_the_solid_beside_the_fluid(
+    driven: tuple[str, Path], tmp_path: Path
+) -> None:
+    shutil.copy(driven[1], tmp_path / "test.h5")
+    configs = (CONFIGS / "trainer.yaml", PRIOR, CONFIGS / "data" / "stirred_tank.yaml")
+    logger = "--trainer.logger.init_args"
+    main(
+        [
+            *("predict", *(f"--config={config}" for config in configs)),
+            *(f"--data.init_args.root={tmp_path}", f"--data.init_args.voxel_size={4 * RADIUS}"),
+            *(f"{logger}.save_dir={tmp_path}", f"{logger}.name=run", f"{logger}.version="),
+            *("--data.init_args.rollout_steps=4", "--data.init_args.workers=0"),
+        ]
+    )
+    values, moves = read(driven[1])
+    (folder,) = (tmp_path / "run" / "results").iterdir()
+    path = folder / "rollouts" / "00000_solids.vtkhdf"
+    for step in (0, 4):
+        position, data = read_frame(path, step)
+        np.testing.assert_allclose(position, values["solid_position"][step, moves], atol=1e-6)
+        np.testing.assert_allclose(
+            data["velocity"], values["solid_velocity"][step, moves], atol=1e-6
+        )
+    # The reader of ParaView reads it, too.
+    reader = vtkHDFReader()
+    reader.SetFileName(str(path))
+    reader.UpdateInformation()
+    reader.SetStep(4)
+    reader.Update()
+    points = vtk_to_numpy(reader.GetOutput().GetPoints().GetData())
+    np.testing.assert_allclose(points, values["solid_position"][4, moves], atol=1e-6)
+    assert (folder / "rollout.png").stat().st_size > 10_000
 
 
 def test_a_network_trains_over_steps_beside_the_solid(
