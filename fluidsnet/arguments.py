@@ -26,7 +26,8 @@ def with_run(arguments: list[str]) -> list[str]:
     A prior alone has no checkpoint.
 
     Raises:
-        UserError: The folder lacks a config or a checkpoint, or the command is ``fit``.
+        UserError: The folder lacks a config or a checkpoint, the command is ``fit``, or the results
+            of a shipped model would lie in the folder of another run.
     """
     parser = ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--run", nargs="?", const="")
@@ -44,6 +45,11 @@ def with_run(arguments: list[str]) -> list[str]:
     folder = RUNS / source.name if is_shipped(parsed.run) else source
     weights = [f"--ckpt_path={checkpoint_path(source)}"] if has_weights(config) else []
     if folder != source:
+        if (folder / "checkpoints").exists():
+            raise UserError(
+                f"{folder} is the folder of a run of yours, and the results of the shipped model "
+                f"{source.name} would be written there; move it, or name it ./{folder}."
+            )
         # Makes it the folder of a run, for the report.
         folder.mkdir(parents=True, exist_ok=True)
         copyfile(config, folder / config.name)

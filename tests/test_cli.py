@@ -138,6 +138,13 @@ def test_a_shipped_model_is_tested_predicts_and_is_reported(
     assert len(list((folder / RESULTS / "rollouts").glob("*.vtkhdf"))) == 1
     main(["report", "runs/dam_break_small"])
     assert "PressureStep" in (folder / "report" / "report.md").read_text()
+    # A run of one's own in that folder is not overwritten.
+    own = tmp_path / "runs" / "box_drops"
+    (own / "checkpoints").mkdir(parents=True)
+    with pytest.raises(SystemExit):
+        run("test", more=("--run=box_drops", root))
+    assert "runs/box_drops is the folder of a run of yours" in capsys.readouterr().err
+    assert [path.name for path in own.iterdir()] == ["checkpoints"]
     with pytest.raises(SystemExit):
         run("test", more=("--run=box_drops_40ms", root, "--data.init_args.stride=1"))
     assert "prior is set for a time step of 0.04 s" in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import final
 
@@ -37,16 +38,8 @@ class StirredTank(OneBox):
     speed: Range = (2.0, 4.0)
 
     def __post_init__(self) -> None:
-        if not 0 < self.paddle[0] <= self.paddle[1] <= 0.8:
-            raise UserError(
-                f"paddle of StirredTank is {list(self.paddle)}; give the least and the greatest "
-                "share of the domain, above 0 and at most 0.8."
-            )
-        if not 0 < self.speed[0] <= self.speed[1]:
-            raise UserError(
-                f"speed of StirredTank is {list(self.speed)}; give the least and the greatest "
-                "speed, above 0."
-            )
+        _check("paddle of StirredTank", self.paddle, most=0.8)
+        _check("speed of StirredTank", self.speed)
 
     def sample(self, random: np.random.Generator, particle_radius: float) -> DrawnScene:
         width, height, depth = self.domain
@@ -86,16 +79,8 @@ class WaveMaker(OneBox):
     period: Range = (0.8, 1.4)
 
     def __post_init__(self) -> None:
-        if not 0 < self.stroke[0] <= self.stroke[1] <= 0.5:
-            raise UserError(
-                f"stroke of WaveMaker is {list(self.stroke)}; give the least and the greatest "
-                "share of the domain, above 0 and at most 0.5."
-            )
-        if not 0 < self.period[0] <= self.period[1]:
-            raise UserError(
-                f"period of WaveMaker is {list(self.period)}; give the least and the greatest "
-                "time, above 0."
-            )
+        _check("stroke of WaveMaker", self.stroke, most=0.5)
+        _check("period of WaveMaker", self.period)
 
     def sample(self, random: np.random.Generator, particle_radius: float) -> DrawnScene:
         width, height, depth = self.domain
@@ -111,3 +96,16 @@ class WaveMaker(OneBox):
             frequency=float(2 * np.pi / random.uniform(*self.period)),
         )
         return DrawnScene(self.domain, [pool], solids=[plate])
+
+
+def _check(what: str, extent: Range, most: float = math.inf) -> None:
+    """Check the least and the greatest value of a range.
+
+    Raises:
+        UserError: They are not above zero, in order, and at most `most`.
+    """
+    if not 0 < extent[0] <= extent[1] <= most:
+        limit = f" and at most {most:g}" if most < math.inf else ""
+        raise UserError(
+            f"{what} is {list(extent)}; give the least and the greatest value, above 0{limit}."
+        )
