@@ -35,7 +35,7 @@ class BoxSymmetry(Augmentation):
     """Mirror each horizontal axis, and swap the two, each with probability one half.
 
     Together they are all symmetries of the box under gravity along one axis. The two axes are
-    swapped only where the box is as wide as it is deep.
+    swapped only where the box is as wide as it is deep, and in two dimensions there is only one.
     """
 
     def check(self, scene: Scene) -> None:
@@ -53,9 +53,11 @@ class BoxSymmetry(Augmentation):
         first, second = torch.nonzero(scene.gravity[0] == 0).flatten().tolist()
         swapped, *mirrored = (torch.rand(3, device=scene.gravity.device) < 0.5).tolist()
         axes, sign = [0, 1, 2], torch.ones(3, device=scene.gravity.device)
-        if swapped and bool(torch.isclose(scene.extent[0, first], scene.extent[0, second])):
+        flat, extent = scene.dimension == 2, scene.extent[0]
+        if swapped and not flat and bool(torch.isclose(extent[first], extent[second])):
             axes[first], axes[second] = second, first
         sign[[first, second]] -= 2 * torch.tensor(mirrored, device=sign.device)
+        sign[scene.dimension :] = 1
         center = (scene.domain_lower + scene.domain_upper) / 2
 
         def turn(velocity: Tensor) -> Tensor:

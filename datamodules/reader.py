@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, SupportsFloat, final
@@ -33,7 +34,7 @@ class FrameReader:
 
     Raises:
         UserError: the file is missing, damaged or not a data file, or has a simulation that
-            FluidsNet cannot step: in two dimensions or periodic.
+            FluidsNet cannot step: a periodic one.
     """
 
     def __init__(self, path: Path) -> None:
@@ -49,7 +50,7 @@ class FrameReader:
         with open_valid(path) as file:
             self.header = Header.read(file)
             for name in simulations(file):
-                self._attributes[name] = SceneAttributes.read(file[name])
+                self._attributes[name] = _flat(file[name], self.header.particle_radius)
                 if reason := _unsupported(file[name], self._attributes[name]):
                     raise UserError(f"{path}: {reason}.")
                 self.frames[name] = len(file[name]["position"])
@@ -82,6 +83,7 @@ class FrameReader:
                     viscosity=attributes.viscosity,
                     surface_tension=attributes.surface_tension,
                     name=f"{self.path.stem}/{simulation}",
+                    dimension=attributes.dimension,
                 )
         return self._scenes[simulation, stride]
 
@@ -190,9 +192,21 @@ def _unsupported(group: h5py.Group, scene: SceneAttributes) -> str | None:
     """Return why a simulation cannot be stepped; None if it can."""
     if any(scene.periodic):
         return f"{group.name} is periodic; only closed and open domains are supported"
-    if scene.dimension != 3:
-        return f"{group.name} is in two dimensions; only three are supported"
     return None
+
+
+def _flat(group: h5py.Group, particle_radius: float) -> SceneAttributes:
+    """Return the scene of a simulation; in two dimensions its box is one particle deep."""
+    scene = SceneAttributes.read(group)
+    if scene.dimension == 3:
+        return scene
+    plane = float(group["position"][0, 0, 2])
+    return replace(
+        scene,
+        domain_lower=(*scene.domain_lower[:2], plane - particle_radius),
+        domain_upper=(*scene.domain_upper[:2], plane + particle_radius),
+        gravity=(*scene.gravity[:2], 0.0),
+    )
 
 
 def read_state(

@@ -20,7 +20,7 @@ from datamodules.schema import SPLITS
 from datamodules.transitions import Sample, TransitionDataset, each_once, samples_in, statistics
 from fluidsnet.errors import UserError
 from fluidsnet.particles import RolloutStart, Transitions
-from fluidsnet.scene import Scene
+from fluidsnet.scene import VALUES, Scene
 from fluidsnet.statistics import Statistics
 
 
@@ -119,7 +119,25 @@ class SPHDataModule(LightningDataModule):
         """Cells of the background grid along x, y and z: the fewest that cover `scene`'s domain."""
         # The tolerance keeps 1.5 / 0.1 from becoming 16 by rounding.
         x, y, z = (max(math.ceil(edge / self.voxel_size - 1e-4), 1) for edge in self.scene.edges[0])
-        return x, y, z
+        return x, y, z if self.dimension == 3 else 1
+
+    @property
+    def dimension(self) -> int:
+        """Number of dimensions of `scene`."""
+        return self.scene.dimension
+
+    @property
+    def varying(self) -> list[str]:
+        """Names of the `fluidsnet.scene.VALUES` that differ between the training simulations."""
+        if not (self.root / "train.h5").exists():
+            return []
+        values = torch.cat([scene.values for scene in self._reader("train").scenes(self.stride)])
+        parts = torch.split(values, list(VALUES.values()), dim=1)
+        return [
+            name
+            for name, part in zip(VALUES, parts, strict=True)
+            if not torch.isclose(part, part[:1]).all()
+        ]
 
     @cached_property
     def statistics(self) -> Statistics:

@@ -15,6 +15,7 @@ from datamodules.augmentation import Augmentation
 from datamodules.reader import FrameReader
 from fluidsnet.errors import UserError
 from fluidsnet.particles import SolidStates, Transitions
+from fluidsnet.scene import Scene
 from fluidsnet.statistics import Statistics
 
 #: Greatest number of samples that statistics are computed from.
@@ -74,6 +75,11 @@ class TransitionDataset(Dataset[Transitions]):
     def __len__(self) -> int:
         return len(self.samples)
 
+    def scenes(self) -> list[Scene]:
+        """Return the scene of each simulation."""
+        simulations = dict.fromkeys((sample.reader, sample.simulation) for sample in self.samples)
+        return [reader.scene(name, self.stride) for reader, name in simulations]
+
     def __getitem__(self, index: int) -> Transitions:
         sample = self.samples[index]
         reader, simulation = sample.reader, sample.simulation
@@ -115,10 +121,15 @@ def statistics(dataset: TransitionDataset) -> Statistics:
         sums += rows.sum(dim=1)
         squares += rows.square().sum(dim=1)
     means = sums / count
-    # One deviation for the three axes, so that no direction is stretched; never zero.
-    deviations = (squares / count - means.square()).mean(dim=1).clamp_min(1e-24).sqrt()
+    # One deviation for all axes, so that no direction is stretched; never zero.
+    axes = state.scene.dimension
+    deviations = (squares / count - means.square())[:, :axes].mean(dim=1).clamp_min(1e-24).sqrt()
     means, deviations = means.float(), deviations.float()
-    return Statistics(means[0], deviations[0], means[1], deviations[1], deviations[2])
+    values = torch.cat([scene.values for scene in dataset.scenes()])
+    least, greatest = values.min(dim=0).values, values.max(dim=0).values
+    return Statistics(
+        means[0], deviations[0], means[1], deviations[1], deviations[2], least, greatest
+    )
 
 
 def each_once(dataset: Sized) -> UnrepeatedDistributedSampler | None:

@@ -12,7 +12,7 @@ from fluidsnet.model import Model
 NOTE = "fluidsnet_models"
 #: Prefix of the models' weights in the state dict.
 PREFIX = "models."
-_GRID = "grid_shape"
+_GRID, _DIMENSION = "grid_shape", "dimension"
 
 Note = dict[str, dict[str, Any]]
 
@@ -52,6 +52,12 @@ def check(checkpoint: dict[str, Any], models: Mapping[str, Model], resumed: bool
     saved: Note = checkpoint.get(NOTE, {})
     for name in models:
         _check_current(checkpoint["state_dict"], f"{PREFIX}{name}.network.")
+    dimension = saved.get("model", {}).get(_DIMENSION, 3)
+    present = models["model"].network.dimension
+    if dimension != present:
+        raise UserError(
+            f"This network was trained in {dimension} dimensions, and the data have {present}."
+        )
     for block, there, here in _differences(saved.get("model", {}), models["model"]):
         if block == _GRID:
             raise UserError(
@@ -127,6 +133,8 @@ def _note(model: Model) -> dict[str, Any]:
         name: "null" if block is None else type(block).__name__
         for name, block in model.blocks().items()
     }
+    if model.network.dimension != 3:
+        note[_DIMENSION] = model.network.dimension
     if model.network.global_feature.needs_its_grid:
         note[_GRID] = list(model.network.grid_shape)
     return note

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import torch
+
 from fluidsnet.checkpoint import NOTE, PREFIX
 from fluidsnet.deprecated import with_current_names
 
@@ -16,8 +18,16 @@ def migrate(checkpoint: dict[str, Any]) -> None:
     There the module was the model itself, twins were attached to it, and the global feature
     was called context.
     """
-    if NOTE in checkpoint:
-        return
+    if NOTE not in checkpoint:
+        _rename(checkpoint)
+    for model in checkpoint[NOTE]:
+        # Until scenes could vary, what was trained on was not kept.
+        for name, limit in (("lower", -torch.inf), ("upper", torch.inf)):
+            weight = f"{PREFIX}{model}.network.scene_inputs.{name}"
+            checkpoint["state_dict"].setdefault(weight, torch.full((5,), limit))
+
+
+def _rename(checkpoint: dict[str, Any]) -> None:
     notes = {"model": checkpoint.pop(_OLD_NOTE, {}), **checkpoint.pop(_OLD_TWINS, {})}
     checkpoint[NOTE] = {model: with_current_names(note) for model, note in notes.items()}
     checkpoint["hyper_parameters"] = with_current_names(checkpoint.get("hyper_parameters", {}))

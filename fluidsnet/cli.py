@@ -28,7 +28,7 @@ from fluidsnet.arguments import with_base, with_run
 from fluidsnet.console import quiet
 from fluidsnet.deprecated import DeprecatedNames
 from fluidsnet.errors import UserError
-from fluidsnet.module import FluidsNet
+from fluidsnet.module import NEEDS, FluidsNet
 
 #: Default global seed.
 SEED = 0
@@ -64,13 +64,13 @@ class SaveFitConfig(SaveConfigCallback):
 
 
 class FluidsNetCLI(LightningCLI):
-    """LightningCLI that links the data's grid to the model and adds the console's callbacks."""
+    """LightningCLI that links the data's needs to the model and adds the console's callbacks."""
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         # Read by `with_base`; the parser has to accept the key.
         parser.add_argument("--base", type=list[str] | None, default=None, help=SUPPRESS)
-        shape = "grid_shape"
-        parser.link_arguments(f"data.{shape}", f"model.init_args.{shape}", apply_on="instantiate")
+        for need in NEEDS:
+            parser.link_arguments(f"data.{need}", f"model.init_args.{need}", apply_on="instantiate")
 
     def _parse_ckpt_path(self) -> None:
         """Leave the configuration as given; the module checks that the checkpoint matches it.

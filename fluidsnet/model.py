@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from functools import partial
@@ -16,6 +17,7 @@ from fluidsnet.errors import UserError
 from fluidsnet.features.global_feature import GlobalVector
 from fluidsnet.features.input import InputFeature, ParticleState
 from fluidsnet.features.local import LocalFeature, NeighborMean
+from fluidsnet.features.scene_inputs import SceneInputs
 from fluidsnet.features.voxel import GridShape
 from fluidsnet.integrator import Euler, Integrator
 from fluidsnet.loss import mean_square
@@ -35,10 +37,14 @@ from fluidsnet.walls import OpenWalls, Walls
 class Model(nn.Module):
     """One step in time of the fluid particles, composed from blocks.
 
-    The arguments after the grid are the blocks; `BLOCKS` has their names.
+    The first three arguments are what the data need; the others are the blocks, and `BLOCKS` has
+    their names.
 
     Args:
         grid_shape: Number of cells of the background grid along x, y and z.
+        dimension: Dimensions of the scenes, 2 or 3.
+        varying: Values of the scene that vary between the training simulations, of
+            `fluidsnet.scene.VALUES`. Those that the prior does not know are an input.
         neighbors: Neighbor search; `Auto` by default.
         inputs: Input feature (paper, section 4.2); `ParticleState` by default.
         local: Local feature (section 4.3); `NeighborMean` by default.
@@ -61,6 +67,8 @@ class Model(nn.Module):
     def __init__(
         self,
         grid_shape: GridShape,
+        dimension: int = 3,
+        varying: Sequence[str] = (),
         neighbors: NeighborSearch | None = None,
         inputs: InputFeature | None = None,
         local: LocalFeature | None = None,
@@ -75,16 +83,23 @@ class Model(nn.Module):
         super().__init__()
         # Blocks that the network builds; a twin builds its own from the same recipe.
         self._recipes = {"global_feature": global_feature or GlobalVector, "head": head}
+        self.varying = tuple(varying)
+        self.prior = prior or FreeFall()
+        inputs, local = inputs or ParticleState(), local or NeighborMean()
+        target = target or VelocityTarget()
+        used = target.reads_guess or inputs.reads_guess or local.at_guess
+        known = self.prior.knows if used else frozenset()
         self.network = Network(
             grid_shape=grid_shape,
             neighbors=neighbors or Auto(),
-            inputs=inputs or ParticleState(),
-            local=local or NeighborMean(),
+            inputs=inputs,
+            local=local,
             global_feature=global_feature or GlobalVector,
-            target=target or VelocityTarget(),
+            target=target,
             head=head,
+            scene_inputs=SceneInputs([name for name in self.varying if name not in known]),
+            dimension=dimension,
         )
-        self.prior = prior or FreeFall()
         self.integrator = integrator or Euler()
         self.walls = walls or OpenWalls()
         self.noise = noise
@@ -162,11 +177,35 @@ class Model(nn.Module):
         """Check that one model can step frames of all of these scenes.
 
         Raises:
-            UserError: The global feature is bound to a grid, and the domains differ.
+            UserError: The global feature is bound to a grid, and the domains differ; or the
+                network was trained in another number of dimensions, or at another value of what
+                did not vary.
         """
+        if not self.network.target.width:
+            self._warn_of_unknown(scenes)
+            return
         feature = self.network.global_feature
         if feature.needs_its_grid:
             scenes.check_one_box(type(feature).__name__)
+        if scenes.dimension != self.network.dimension:
+            raise UserError(
+                f"This network was trained in {self.network.dimension} dimensions, and "
+                f"{scenes.names[0]} has {scenes.dimension}; train on such scenes."
+            )
+        self.network.scene_inputs.check(scenes)
+
+    def _warn_of_unknown(self, scenes: Scene) -> None:
+        """Warn of surface tension that a prior alone leaves out."""
+        if "surface_tension" in self.prior.knows:
+            return
+        for name, value in zip(scenes.names, scenes.surface_tension.tolist(), strict=True):
+            if value:
+                warnings.warn(
+                    f"{name} has a surface tension of {value:g}, which the prior "
+                    f"{type(self.prior).__name__} leaves out.",
+                    stacklevel=3,
+                )
+                return
 
     def check_time_step(self, time_step: float) -> None:
         """Check that the model is for a time step, s; one without a step of its own takes any.
@@ -215,7 +254,9 @@ class Model(nn.Module):
             name: getattr(self if hasattr(self, name) else self.network, name) for name in BLOCKS
         }
 
-    def twin(self, changes: Mapping[str, Any] | None = None) -> Model:
+    def twin(
+        self, changes: Mapping[str, Any] | None = None, varying: Sequence[str] | None = None
+    ) -> Model:
         """Build a model with blocks of its own that equal this one's except for changes.
 
         Weights whose names and shapes agree are equal; the others are initialized without a
@@ -223,11 +264,15 @@ class Model(nn.Module):
 
         Args:
             changes: Blocks by their names.
+            varying: Values of the scene that vary; by default the same.
         """
         blocks = {name: block for name, block in self.blocks().items() if name not in self._recipes}
         with preserve_rng_state():
             twin = Model(
-                self.network.grid_shape, **{**deepcopy(blocks), **self._recipes, **(changes or {})}
+                self.network.grid_shape,
+                self.network.dimension,
+                self.varying if varying is None else varying,
+                **{**deepcopy(blocks), **self._recipes, **(changes or {})},
             )
         own, source = twin.state_dict(), self.state_dict()
         shared = [name for name in own if name in source and own[name].shape == source[name].shape]
@@ -236,7 +281,7 @@ class Model(nn.Module):
 
 
 #: Names of the blocks.
-BLOCKS = tuple(inspect.signature(Model).parameters)[1:]
+BLOCKS = tuple(inspect.signature(Model).parameters)[3:]
 _TYPES = {name: get_type_hints(Model.__init__)[name] for name in BLOCKS}
 # A model without one of the others gets its default.
 _OPTIONAL = {"noise"}

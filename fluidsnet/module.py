@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from io import BytesIO
 from typing import Any, Self, cast
@@ -33,6 +33,9 @@ from fluidsnet.schedule import HalfwayDrop
 #: Builds a learning rate schedule from an optimizer and the number of steps of the run.
 ScheduleCallable = Callable[[Optimizer, int], LRScheduler]
 
+#: Arguments of `FluidsNet` that are linked to the data module's properties of these names.
+NEEDS = ("grid_shape", "dimension", "varying")
+
 
 class FluidsNet(LightningModule):
     """Training, validation, test and prediction of a model and its twins (paper, section 5.3).
@@ -43,6 +46,9 @@ class FluidsNet(LightningModule):
     Args:
         grid_shape: Number of cells of the background grid along x, y and z; linked to the data's
             domain and voxel size.
+        dimension: Dimensions of the scenes, 2 or 3; linked to the data.
+        varying: Values of the scene that vary between the training simulations; linked to the
+            data.
         optimizer: Optimizer; Adam at 0.003 by default (section 5.3).
         schedule: Learning rate schedule; by default 1/20 of the rate in the second half.
         **blocks: Blocks of the model, see `Model`.
@@ -54,6 +60,8 @@ class FluidsNet(LightningModule):
     def __init__(
         self,
         grid_shape: tuple[int, int, int],
+        dimension: int = 3,
+        varying: Sequence[str] = (),
         optimizer: OptimizerCallable | None = None,
         schedule: ScheduleCallable | None = None,
         **blocks: Any,
@@ -61,7 +69,7 @@ class FluidsNet(LightningModule):
         super().__init__()
         self.save_hyperparameters()
         # jsonargparse reads the blocks' names and types from this call.
-        model = Model(grid_shape, **blocks)
+        model = Model(grid_shape, dimension, varying, **blocks)
         self.models = torch.nn.ModuleDict({"model": model})
         self.optimizer = optimizer or adam
         self.schedule = schedule or HalfwayDrop
@@ -232,6 +240,11 @@ class FluidsNet(LightningModule):
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         migrate(checkpoint)
+        # What varies is a fact of the training data; those at hand may have no training split.
+        varying = tuple(checkpoint.get("hyper_parameters", {}).get("varying", ()))
+        for name, model in self.named_models().items():
+            if model.varying != varying:
+                self.models[name] = model.twin(varying=varying)
         for name in check(checkpoint, self.named_models(), self._resuming):
             rank_zero_info(f"The checkpoint's twin {name!r} is left out; the model alone is used.")
 

@@ -7,6 +7,7 @@ from typing import final
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import pad
 from torch.profiler import record_function
 
 from fluidsnet.errors import UserError
@@ -15,6 +16,7 @@ from fluidsnet.features.global_feature import GlobalFeature
 from fluidsnet.features.input import InputFeature
 from fluidsnet.features.local import LocalFeature
 from fluidsnet.features.perceptron import Perceptron
+from fluidsnet.features.scene_inputs import SceneInputs
 from fluidsnet.features.voxel import GridShape
 from fluidsnet.neighbors.reach import within_reach
 from fluidsnet.neighbors.search import NeighborSearch
@@ -39,6 +41,8 @@ class Network(nn.Module):
         global_feature: Builds the feature of the whole scene (sections 4.4 and 4.5).
         target: Quantity that the head predicts.
         head: Widths of the head's hidden layers (section 4.6; Table 1: 32, 16, 8).
+        scene_inputs: Values of the scene that are an input; none by default.
+        dimension: Dimensions of the scenes; in two, the head has no output along the third axis.
 
     Raises:
         UserError: The local feature expects other columns than the input feature sends.
@@ -53,6 +57,8 @@ class Network(nn.Module):
         global_feature: GlobalFeatureFactory,
         target: Target,
         head: Sequence[int] = (32, 16, 8),
+        scene_inputs: SceneInputs | None = None,
+        dimension: int = 3,
     ) -> None:
         super().__init__()
         for name, of_input in (
@@ -70,11 +76,14 @@ class Network(nn.Module):
         self.neighbors = neighbors
         self.inputs = inputs
         self.local = local
-        width = self.inputs.width + local.width
+        self.scene_inputs = scene_inputs or SceneInputs()
+        width = self.inputs.width + local.width + self.scene_inputs.width
         self.global_feature = global_feature(grid_shape, width)
         self.target = target
         # A target without columns has no output to compute.
-        widths = (width + self.global_feature.width, *head, target.width)
+        self.dimension = dimension
+        outputs = target.width // 3 * dimension
+        widths = (width + self.global_feature.width, *head, outputs)
         self.head = Perceptron(widths if target.width else ())
 
     @property
@@ -90,6 +99,7 @@ class Network(nn.Module):
     def set_statistics(self, statistics: Statistics) -> None:
         """Set the normalization of inputs and target from the training split."""
         self.inputs.set_statistics(statistics)
+        self.scene_inputs.set_range(statistics.least, statistics.greatest)
         self.target.set_statistics(statistics)
 
     def set_residuals(self, residuals: Residuals) -> None:
@@ -117,12 +127,21 @@ class Network(nn.Module):
             global_feature = self.global_feature(particles, features)
         with record_function("head"):
             output: Tensor = self.head(features, global_feature)
-        return output
+        if self.dimension == 3:
+            return output
+        # Vectors of two components get a third one.
+        return pad(output.view(len(output), -1, self.dimension), (0, 1)).flatten(1)
 
     def features(self, particles: Particles, guess: Guess) -> Tensor:
-        """Return the input and local features of the fluid particles, (N, A)."""
+        """Return the input and local features of the fluid particles, (N, A).
+
+        Values of the scene that vary follow them.
+        """
         columns = self.inputs(particles, guess)
-        return torch.cat([columns, self._local(particles, guess, columns)], dim=1)
+        parts = [columns, self._local(particles, guess, columns)]
+        if self.scene_inputs.width:
+            parts.append(self.scene_inputs(particles))
+        return torch.cat(parts, dim=1)
 
     def _local(self, particles: Particles, guess: Guess, columns: Tensor) -> Tensor:
         """Return the local feature of the fluid particles."""

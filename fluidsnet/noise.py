@@ -43,8 +43,10 @@ class StartNoise(nn.Module):
         strength = particles.position.new_empty(particles.frames, 1).uniform_(0, self.most)
         strength = strength[particles.frame]
         drift = self.drift_deviation * particles.scene.support_radius
+        shift, turn = (torch.randn_like(it) for it in (particles.position, particles.velocity))
+        # In two dimensions the third coordinate does not change.
+        shift[:, particles.scene.dimension :] = turn[:, particles.scene.dimension :] = 0
         return particles.moved(
-            particles.position + strength * drift * torch.randn_like(particles.position),
-            particles.velocity
-            + strength * self.change_deviation * torch.randn_like(particles.velocity),
+            particles.position + strength * drift * shift,
+            particles.velocity + strength * self.change_deviation * turn,
         )

@@ -26,10 +26,11 @@ def rollout(
         solids: Motion of the solids; None where they rest.
 
     Raises:
-        UserError: The model was trained at another time step than the state's, or the solids move
-            and their motion is not given.
+        UserError: The model was trained at another time step than the state's or on other scenes,
+            or the solids move and their motion is not given.
     """
     model.check_time_step(start.scene.time_step)
+    model.check_scenes(start.scene)
     if start.solids_move and solids is None:
         raise UserError(
             "The solids of this scene move: give their motion, such as that of "

@@ -15,6 +15,9 @@ from fluidsnet.errors import UserError
 
 Edges = tuple[float, float, float]
 
+#: Values of a scene that may be an input of a network, and the number of columns of each.
+VALUES = {"gravity": 3, "viscosity": 1, "surface_tension": 1}
+
 
 @final
 @dataclass(frozen=True)
@@ -34,6 +37,7 @@ class Scene(Batch):
         names: Name of each frame's simulation, for messages.
         edges: Edges of each frame's box, m, as numbers on the host, so that boxes are compared
             without a copy from the GPU.
+        dimension: 3, or 2 where the third coordinate is constant and has no walls.
     """
 
     domain_lower: Tensor = field(metadata=ROWS)
@@ -47,6 +51,7 @@ class Scene(Batch):
     time_step: float = field(metadata=SHARED)
     names: tuple[str, ...] = field(metadata=ENTRIES)
     edges: tuple[Edges, ...] = field(metadata=ENTRIES)
+    dimension: int = field(default=3, metadata=SHARED)
 
     @classmethod
     def single(
@@ -61,6 +66,7 @@ class Scene(Batch):
         viscosity: float = 0.0,
         surface_tension: float = 0.0,
         name: str = "scene",
+        dimension: int = 3,
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
     ) -> Scene:
@@ -82,6 +88,7 @@ class Scene(Batch):
             time_step=time_step,
             names=(name,),
             edges=((x, y, z),),
+            dimension=dimension,
         )
 
     def __len__(self) -> int:
@@ -93,9 +100,33 @@ class Scene(Batch):
         """(F, 3) edges of the boxes, m."""
         return self.domain_upper - self.domain_lower
 
+    @property
+    def values(self) -> Tensor:
+        """(F, 5) values of `VALUES`, in their order."""
+        coefficients = torch.stack([self.viscosity, self.surface_tension], dim=1)
+        return torch.cat([self.gravity, coefficients], dim=1)
+
+    @property
+    def particle_volume(self) -> float:
+        """Volume of a fluid particle, the cube of the spacing, m³; in two dimensions its square."""
+        return float((2 * self.particle_radius) ** self.dimension)
+
+    def room(self, clearance: float) -> tuple[Tensor, Tensor]:
+        """Return the corners (F, 3) of the boxes that centers of particles stay in, m.
+
+        Args:
+            clearance: Least distance from the walls, particle radii.
+        """
+        # In a box narrower than two clearances, particles stop in the middle.
+        gap = (self.extent / 2).clamp_max(clearance * self.particle_radius)
+        lower, upper = self.domain_lower + gap, self.domain_upper - gap
+        if self.dimension == 2:
+            lower[:, 2], upper[:, 2] = -torch.inf, torch.inf
+        return lower, upper
+
     def joins(self, other: Scene) -> bool:
         """Return whether frames of both scenes can be one batch of any block."""
-        shared = ("particle_radius", "support_radius", "time_step")
+        shared = ("particle_radius", "support_radius", "time_step", "dimension")
         return all(getattr(self, name) == getattr(other, name) for name in shared) and all(
             _same(self.edges[0], edges) for edges in (*self.edges, *other.edges)
         )

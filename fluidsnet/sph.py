@@ -15,18 +15,28 @@ from fluidsnet.particles import Particles
 NEIGHBORS = 256
 
 
-def cubic_spline(distance: Tensor, support: float) -> Tensor:
+def spline_height(support: float, dimension: int) -> float:
+    """Return the kernel W at a distance of zero, 1/m³, or 1/m² in two dimensions.
+
+    Args:
+        support: Support radius, m.
+        dimension: 2 or 3; the integral of W over that space is 1.
+    """
+    return (8 / math.pi if dimension == 3 else 40 / (7 * math.pi)) / float(support**dimension)
+
+
+def cubic_spline(distance: Tensor, support: float, dimension: int = 3) -> Tensor:
     """Return the kernel W, 1/m³, of distances in m; zero from the support radius (m) on."""
     q = (distance / support).clamp(max=1)
     near = 6 * (q**3 - q**2) + 1
-    return 8 / (math.pi * support**3) * near.where(q <= 0.5, 2 * (1 - q) ** 3)
+    return spline_height(support, dimension) * near.where(q <= 0.5, 2 * (1 - q) ** 3)
 
 
-def spline_slope(distance: Tensor, support: float) -> Tensor:
+def spline_slope(distance: Tensor, support: float, dimension: int = 3) -> Tensor:
     """Return the derivative of `cubic_spline` by the distance, 1/m⁴."""
     q = (distance / support).clamp(max=1)
     near = 18 * q**2 - 12 * q
-    return 8 / (math.pi * support**4) * near.where(q <= 0.5, -6 * (1 - q) ** 2)
+    return spline_height(support, dimension) / support * near.where(q <= 0.5, -6 * (1 - q) ** 2)
 
 
 def solid_volumes(particles: Particles, search: NeighborSearch | None = None) -> Tensor:
@@ -51,8 +61,9 @@ def solid_volumes(particles: Particles, search: NeighborSearch | None = None) ->
     )
     edges = (search or Auto(NEIGHBORS))(solids)
     distance = edge_lengths(position, position, edges.particle, edges.neighbor)
-    center = cubic_spline(distance.new_zeros(()), radius).repeat(len(position))
-    return 1 / center.index_add_(0, edges.particle, cubic_spline(distance, radius))
+    dimension = particles.scene.dimension
+    center = cubic_spline(distance.new_zeros(()), radius, dimension).repeat(len(position))
+    return 1 / center.index_add_(0, edges.particle, cubic_spline(distance, radius, dimension))
 
 
 def edge_lengths(position: Tensor, both: Tensor, particle: Tensor, neighbor: Tensor) -> Tensor:

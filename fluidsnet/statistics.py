@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+import torch
 from torch import Tensor
 
 
@@ -19,6 +20,8 @@ class Statistics:
         change_mean: (3,) of v' - v, m/s.
         change_deviation: () of v' - v about its mean, m/s.
         drift_deviation: () of x' - x - Δt·v about its mean, support radii.
+        least: (5,) least of `Scene.values` over the simulations; no limit where it is not known.
+        greatest: (5,) greatest of them.
     """
 
     velocity_mean: Tensor
@@ -26,6 +29,8 @@ class Statistics:
     change_mean: Tensor
     change_deviation: Tensor
     drift_deviation: Tensor
+    least: Tensor = field(default_factory=lambda: torch.full((5,), -torch.inf))
+    greatest: Tensor = field(default_factory=lambda: torch.full((5,), torch.inf))
 
 
 @dataclass(frozen=True)

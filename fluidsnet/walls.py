@@ -39,11 +39,7 @@ class StopAtWalls(Walls):
         self.clearance = clearance
 
     def __call__(self, particles: Particles) -> Particles:
-        scene = particles.scene
-        # In a box narrower than two clearances, particles stop in the middle.
-        gap = (scene.extent / 2).clamp_max(self.clearance * scene.particle_radius)
-        lower = particles.per_particle(scene.domain_lower + gap)
-        upper = particles.per_particle(scene.domain_upper - gap)
+        lower, upper = map(particles.per_particle, particles.scene.room(self.clearance))
         inside = torch.clamp(particles.position, lower, upper)
         outward = torch.sign(particles.position - inside) * particles.velocity > 0
         return particles.moved(inside, particles.velocity.masked_fill(outward, 0.0))

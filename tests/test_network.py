@@ -139,7 +139,7 @@ def _frames(batch: Particles) -> list[Particles]:
 
 def _scene_of(scene: Scene, frame: int) -> Scene:
     values = {field.name: getattr(scene, field.name) for field in fields(scene)}
-    per_frame = {name for name, value in values.items() if not isinstance(value, float)}
+    per_frame = {name for name, value in values.items() if not isinstance(value, int | float)}
     return replace(scene, **{name: values[name][frame : frame + 1] for name in per_frame})
 
 

@@ -175,13 +175,13 @@ def scene_file(job: DrawnJob, folder: Path) -> dict[str, Any]:
     """Return a drawn scene in SPlisHSPlasH's format, and write the files that it needs."""
     header, scene, radius = job.header, job.scene, job.header.particle_radius
     walls = folder / "walls.obj"
-    write_box(walls, scene.domain_upper)
+    write_box(walls, scene.domain_lower, scene.domain_upper)
     for number, solid in enumerate(job.solids):
         solid.write(folder / f"solid{number}.obj")
     blocks: list[dict[str, Any]] = []
     models: list[dict[str, Any]] = []
     for number, body in enumerate(job.bodies):
-        if isinstance(body, Block) and job.solids:
+        if isinstance(body, Block) and (job.solids or scene.dimension == 2):
             particles = folder / f"body{number}.bgeo"
             write_bgeo(particles, _around(body, job.solids, radius))
             models.append({"particleFile": str(particles)})
@@ -211,6 +211,7 @@ def scene_file(job: DrawnJob, folder: Path) -> dict[str, Any]:
             "particleRadius": radius,
             "simulationMethod": METHODS[header.solver],
             "gravitation": list(scene.gravity),
+            "sim2D": scene.dimension == 2,
             "timeStepSize": job.solver_step,
             "cflMethod": 0,
             "boundaryHandlingMethod": AKINCI_2012,

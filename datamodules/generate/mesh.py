@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,9 @@ from datamodules.generate.moving_solids import BOX
 from datamodules.generate.obj import read_obj, write_obj
 
 
-def write_box(path: Path, domain: Vector) -> None:
-    """Write a closed box from the origin to the upper corner of the domain."""
-    width, height, depth = domain
-    corners = [(x, y, z) for x in (0.0, width) for y in (0.0, height) for z in (0.0, depth)]
-    write_obj(path, np.array(corners), BOX)
+def write_box(path: Path, lower: Vector, upper: Vector) -> None:
+    """Write a closed box, given two corners of it."""
+    write_obj(path, np.array(list(product(*zip(lower, upper, strict=True)))), BOX)
 
 
 def write_drop(path: Path, drop: Drop, particle_radius: float) -> None:

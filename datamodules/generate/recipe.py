@@ -172,12 +172,16 @@ class Recipe:
             support_radius=4 * self.particle_radius,
             dt=steps_per_frame * self.step,
         )
+        width, height, depth = drawn.domain
+        # In two dimensions the plane of the fluid halves the box.
+        front = depth / 2 if drawn.dimension == 2 else 0.0
         scene = SceneAttributes(
-            domain_lower=(0.0, 0.0, 0.0),
-            domain_upper=drawn.domain,
-            gravity=self.gravity,
+            domain_lower=(0.0, 0.0, -front),
+            domain_upper=(width, height, depth - front),
+            gravity=self.gravity if drawn.gravity is None else drawn.gravity,
             density0=self.density0,
             viscosity=self.viscosity if drawn.viscosity is None else drawn.viscosity,
+            dimension=drawn.dimension,
         )
         return DrawnJob(
             output=str(output),

@@ -40,12 +40,16 @@ class DrawnScene:
         bodies: Fluid at the start.
         viscosity: Coefficient of the solver; None for that of the recipe.
         solids: Solids that move.
+        gravity: m/s²; None for that of the recipe.
+        dimension: 3; or 2, where the fluid lies in the plane z = 0.
     """
 
     domain: Vector
     bodies: list[Body]
     viscosity: float | None = None
     solids: list[MovingSolid] = field(default_factory=list)
+    gravity: Vector | None = None
+    dimension: int = 3
 
 
 class SceneKind(ABC):

@@ -13,25 +13,20 @@ from datamodules.generate.scenes import DrawnScene
 
 @final
 class Symmetries:
-    """Mirrors and swaps of axes that map gravity to itself.
+    """Mirrors and swaps of axes that map the gravity of one scene to that of another.
 
     Under gravity along y these are the mirrors of x and z, and their swap: the changes of
     `datamodules.augmentation.BoxSymmetry`.
 
     Args:
-        gravity: m/s².
+        gravity: m/s², of scenes without their own.
     """
 
     def __init__(self, gravity: Vector) -> None:
-        pull = np.array(gravity)
-        maps = [
-            (axes, signs)
-            for axes in permutations(range(3))
-            for signs in product((1, -1), repeat=3)
-            if np.allclose(signs * pull[list(axes)], pull)
-        ]
+        self._gravity = gravity
+        maps = [*product(permutations(range(3)), product((1, -1), repeat=3))]
         self._axes = np.array([axes for axes, _ in maps])
-        self._mirrors = np.array([signs for _, signs in maps]) < 0
+        self._signs = np.array([signs for _, signs in maps])
 
     def alike(self, first: DrawnScene, second: DrawnScene, distance: float) -> bool:
         """Return True if a symmetry maps the box and each body of one scene onto the other's.
@@ -44,11 +39,13 @@ class Symmetries:
             return False
         if [*map(shape_and_mesh, first.bodies)] != [*map(shape_and_mesh, second.bodies)]:
             return False
+        pull, other = (np.array(it.gravity or self._gravity) for it in (first, second))
         edges = np.array(first.domain)[self._axes]
         fits = (np.abs(edges - np.array(second.domain)) < distance).all(axis=1)
+        fits &= np.isclose(self._signs * pull[self._axes], other, atol=1e-6).all(axis=1)
         if not fits.any():
             return False
-        edges, axes, mirrors = edges[fits, None, None], self._axes[fits], self._mirrors[fits]
+        edges, axes, mirrors = edges[fits, None, None], self._axes[fits], self._signs[fits] < 0
         before, after = (
             np.array([body.bounds() for body in scene.bodies]) for scene in (first, second)
         )

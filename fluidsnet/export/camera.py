@@ -1,4 +1,7 @@
-"""Perspective camera for pictures of particles: seen from slightly above, y up."""
+"""Perspective camera for pictures of particles: seen from slightly above, y up.
+
+A flat scene, such as one in two dimensions, is seen from the front.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 _MIN_WIDTH = 400  # pixels, room for the title
+_FLAT = 0.03  # greatest depth of a flat box, in its longest edges
 
 
 class Camera:
@@ -26,7 +30,8 @@ class Camera:
 
     def __init__(self, lower: Floats, upper: Floats, max_size: tuple[int, int]) -> None:
         self.lower, self.upper = lower, upper
-        turn, rise = np.radians(28.0), np.radians(20.0)
+        edges = upper - lower
+        turn, rise = (0.0, 0.0) if edges[2] < _FLAT * edges.max() else np.radians((28.0, 20.0))
         backward = np.array(
             [np.sin(turn) * np.cos(rise), np.sin(rise), np.cos(turn) * np.cos(rise)]
         )

@@ -59,7 +59,9 @@ class Numbers(NamedTuple):
     """Numbers of a step, see `PressureStep`."""
 
     radius: float  # support radius, m
-    volume: float  # of a fluid particle, m³
+    height: float  # of the SPH kernel, 1/m³; in two dimensions 1/m²
+    volume: float  # of a fluid particle, m³; in two dimensions m²
+    viscous: float  # factor of the viscosity
     substep: float  # s
     mean_weight: float  # a: weight of the new velocity in the displacement
     ahead: float  # share of a substep after which gradients are taken
@@ -122,11 +124,12 @@ def pressure_step(
             _carry(walls.place, walls.velocity, time, wall_place)
             take_inflow(
                 middle, lists.wall_offset, lists.wall, wall_place, walls.velocity, walls.volume,
-                numbers.radius, inflow,
+                numbers.radius, numbers.height, inflow,
             )  # fmt: skip
         take_gradients(
             middle, offset, neighbor, lists.wall_offset, lists.wall, wall_place, walls.volume,
-            numbers.radius, numbers.volume, numbers.relaxation, gradient, total, density, stiffness,
+            numbers.radius, numbers.height, numbers.volume, numbers.relaxation, gradient, total,
+            density, stiffness,
         )  # fmt: skip
         if substep == 0:
             _diverge(offset, neighbor, gradient, total, velocity, inflow, state.divergence)
@@ -141,7 +144,7 @@ def pressure_step(
         driven[:] = velocity
         _add_forces(
             frame, middle, offset, neighbor, gradient, total, density, driven, boxes.viscosity,
-            boxes.gravity, step, numbers.radius, pressure, velocity,
+            boxes.gravity, step, numbers.viscous, numbers.radius, pressure, velocity,
         )  # fmt: skip
         _exceed(density, inflow, np.float32(1.0) / step, excess)
         for _ in range(numbers.sweeps):
@@ -224,14 +227,14 @@ def _push(
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=FAST)
 def _add_forces(
     frame: Any, place: Any, offset: Any, neighbor: Any, gradient: Any, total: Any, density: Any,
-    before: Any, viscosity: Any, gravity: Any, step: Any, radius: float, pressure: Any,
-    velocity: Any,
+    before: Any, viscosity: Any, gravity: Any, step: Any, viscous: float, radius: float,
+    pressure: Any, velocity: Any,
 ) -> None:  # fmt: skip
     """Add viscosity between fluid particles, gravity, and the push of pressures to velocities."""
     count, least = len(velocity), np.float32(0.01 * radius * radius)
     for chunk in prange((count + CHUNK - 1) // CHUNK):
         for i in range(chunk * CHUNK, min(count, (chunk + 1) * CHUNK)):
-            factor = np.float32(10.0) * step * viscosity[frame[i]]
+            factor = np.float32(viscous) * step * viscosity[frame[i]]
             x, y, z = place[i, 0], place[i, 1], place[i, 2]
             u, v, w = before[i, 0], before[i, 1], before[i, 2]
             a = b = c = np.float32(0.0)

@@ -15,14 +15,13 @@ from fluidsnet.kernels.sph_sums import CHUNK, slope, spline
 @njit(cache=True, parallel=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
 def density_and_walls(
     place: Any, offset: Any, neighbor: Any, wall_offset: Any, wall: Any, wall_place: Any,
-    wall_volume: Any, radius: float, volume: float, out: Any,
+    wall_volume: Any, radius: float, height: float, volume: float, out: Any,
 ) -> None:  # fmt: skip
     """Write ρ/ρ₀, its gradient times the support radius, and ten moments of the walls, (N, 14).
 
     Moments are those of `neighbor_moments`, of the walls' volumes over that of a fluid particle.
     """
-    height = np.float32(8.0 / (math.pi * radius**3))
-    inverse, own = np.float32(1.0 / radius), np.float32(volume)
+    top, inverse, own = np.float32(height), np.float32(1.0 / radius), np.float32(volume)
     least = np.float32(1e-8 * radius)
     count = len(place)
     for chunk in prange((count + CHUNK - 1) // CHUNK):
@@ -30,14 +29,14 @@ def density_and_walls(
         for i in range(chunk * CHUNK, min(count, (chunk + 1) * CHUNK)):
             x, y, z = place[i, 0], place[i, 1], place[i, 2]
             a = b = c = np.float32(0.0)
-            total = own * height * spline(np.float32(0.0))
+            total = own * top * spline(np.float32(0.0))
             for e in range(offset[i], offset[i + 1]):
                 j = neighbor[e]
                 dx, dy, dz = x - place[j, 0], y - place[j, 1], z - place[j, 2]
                 distance = np.float32(math.sqrt(dx * dx + dy * dy + dz * dz)) + least
                 q = distance * inverse
-                total += own * height * spline(q)
-                factor = own * height * slope(q) / distance
+                total += own * top * spline(q)
+                factor = own * top * slope(q) / distance
                 a += factor * dx
                 b += factor * dy
                 c += factor * dz
@@ -50,8 +49,8 @@ def density_and_walls(
                 distance = np.float32(math.sqrt(dx * dx + dy * dy + dz * dz)) + least
                 q = distance * inverse
                 weight = wall_volume[j]
-                total += weight * height * spline(q)
-                factor = weight * height * slope(q) / distance
+                total += weight * top * spline(q)
+                factor = weight * top * slope(q) / distance
                 a += factor * dx
                 b += factor * dy
                 c += factor * dz

@@ -20,7 +20,7 @@ REGULARIZATION = 0.01
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=FAST)
-def solid_volumes(place: Any, lists: NearLists, radius: float, volume: Any) -> None:
+def solid_volumes(place: Any, lists: NearLists, radius: float, height: float, volume: Any) -> None:
     """Write the volumes (M,) of solids, m³, 1 / Σ W over the solids around (Akinci et al. 2012)."""
     for i in prange(len(volume)):
         total = spline(np.float32(0.0))
@@ -32,26 +32,25 @@ def solid_volumes(place: Any, lists: NearLists, radius: float, volume: Any) -> N
                 place[2, i] - place[2, j],
             )
             total += spline(np.float32(math.sqrt(x * x + y * y + z * z) / radius))
-        volume[i] = np.float32(math.pi * radius**3 / 8) / total
+        volume[i] = np.float32(1.0 / height) / total
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=FAST)
 def take_gradients(
     place: Any, offset: Any, neighbor: Any, wall_offset: Any, wall: Any, wall_place: Any,
-    wall_volume: Any, radius: float, volume: float, relaxation: float, gradient: Any, total: Any,
-    density: Any, stiffness: Any,
+    wall_volume: Any, radius: float, height: float, volume: float, relaxation: float,
+    gradient: Any, total: Any, density: Any, stiffness: Any,
 ) -> None:  # fmt: skip
     """Write gradients, density and stiffness at places (N, 3).
 
     `gradient` (3, E) is V∇W of each fluid neighbor, 1/m; `total` (N, 3) its sum over fluid and
     solids; `density` (N,) is ρ/ρ₀, and `stiffness` (N,) α times the relaxation, m².
     """
-    height = np.float32(8.0 / (math.pi * radius**3))
-    inverse, own = np.float32(1.0 / radius), np.float32(volume)
+    top, inverse, own = np.float32(height), np.float32(1.0 / radius), np.float32(volume)
     # Keeps a particle at the same place as another finite.
     least = np.float32(1e-8 * radius)
     regular = np.float32(REGULARIZATION) * inverse * inverse
-    scale = own * height * inverse
+    scale = own * top * inverse
     count = len(place)
     for chunk in prange((count + CHUNK - 1) // CHUNK):
         for i in range(chunk * CHUNK, min(count, (chunk + 1) * CHUNK)):
@@ -71,13 +70,13 @@ def take_gradients(
                 b += gy
                 c += gz
                 squares += gx * gx + gy * gy + gz * gz
-            around = own * height * filled
+            around = own * top * filled
             for e in range(wall_offset[i], wall_offset[i + 1]):
                 j = wall[e]
                 dx, dy, dz = x - wall_place[0, j], y - wall_place[1, j], z - wall_place[2, j]
                 distance = np.float32(math.sqrt(dx * dx + dy * dy + dz * dz)) + least
                 q = distance * inverse
-                weight = wall_volume[j] * height
+                weight = wall_volume[j] * top
                 around += weight * spline(q)
                 factor = weight * inverse * slope(q) / distance
                 a += factor * dx
@@ -91,11 +90,11 @@ def take_gradients(
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=FAST)
 def take_inflow(
     place: Any, wall_offset: Any, wall: Any, wall_place: Any, wall_velocity: Any,
-    wall_volume: Any, radius: float, inflow: Any,
+    wall_volume: Any, radius: float, height: float, inflow: Any,
 ) -> None:  # fmt: skip
     """Write -Σ V_b v_b·∇W over solids that move, the rate (N,) of ρ/ρ₀ that they add, 1/s."""
-    height = np.float32(8.0 / (math.pi * radius**4))
-    inverse, least = np.float32(1.0 / radius), np.float32(1e-8 * radius)
+    top, inverse = np.float32(height / radius), np.float32(1.0 / radius)
+    least = np.float32(1e-8 * radius)
     count = len(place)
     for chunk in prange((count + CHUNK - 1) // CHUNK):
         for i in range(chunk * CHUNK, min(count, (chunk + 1) * CHUNK)):
@@ -106,7 +105,7 @@ def take_inflow(
                 dy = place[i, 1] - wall_place[1, j]
                 dz = place[i, 2] - wall_place[2, j]
                 distance = np.float32(math.sqrt(dx * dx + dy * dy + dz * dz)) + least
-                factor = wall_volume[j] * height * slope(distance * inverse) / distance
+                factor = wall_volume[j] * top * slope(distance * inverse) / distance
                 along = dx * wall_velocity[j, 0] + dy * wall_velocity[j, 1]
                 along += dz * wall_velocity[j, 2]
                 rate -= factor * along

@@ -22,10 +22,10 @@ class Density:
 
     ρ/ρ₀ = V (W(0) + Σ W(x - x_j)) + Σ V_b W(x - x_b), over fluid j and solids b.
     W is the cubic spline kernel that ends at the support radius, V = (2r)³ the volume of a
-    fluid particle of radius r, and V_b = 1 / Σ W(x_b - x_k) the volume of a solid particle, over
-    the solids k with b among them (Akinci et al. 2012). In frames of the solver the median is
-    1.000, and up to 1 % more at walls. The masses cancel: data of a solver that gives its
-    particles another mass are off by a factor, the truth as well as predictions.
+    fluid particle of radius r, (2r)² in two dimensions, and V_b = 1 / Σ W(x_b - x_k) the volume of
+    a solid particle, over the solids k with b among them (Akinci et al. 2012). In frames of the
+    solver the median is 1.000, and up to 1 % more at walls. The masses cancel: data of a solver
+    that gives its particles another mass are off by a factor, the truth as well as predictions.
 
     Args:
         search: Neighbor search; its `k` is the greatest number of neighbors that count.
@@ -38,7 +38,7 @@ class Density:
     def __call__(self, particles: Particles) -> Tensor:
         """Return ρ/ρ₀ of each fluid particle, (N,) float64; NaN if its position is not finite."""
         radius, scene = particles.scene.support_radius, particles.scene
-        fluid = (2 * scene.particle_radius) ** 3
+        fluid, dimension = scene.particle_volume, scene.dimension
         solids = self._volumes.get(
             (particles.solid_position, particles.solid_frame),
             (radius, particles.frames),
@@ -48,10 +48,9 @@ class Density:
         both = torch.cat([particles.position, particles.solid_position])
         edges = self.search(particles)
         distance = edge_lengths(particles.position, both, edges.particle, edges.neighbor)
-        center = fluid * cubic_spline(distance.new_zeros(()), radius)
-        density = center.repeat(len(particles)).index_add_(
-            0, edges.particle, volumes[edges.neighbor] * cubic_spline(distance, radius)
-        )
+        center = fluid * cubic_spline(distance.new_zeros(()), radius, dimension)
+        weight = volumes[edges.neighbor] * cubic_spline(distance, radius, dimension)
+        density = center.repeat(len(particles)).index_add_(0, edges.particle, weight)
         return density.where(particles.position.isfinite().all(dim=1), torch.nan)
 
 

@@ -17,13 +17,14 @@ from fluidsnet.particles import Particles
 
 @final
 class VelocityMSE(FrameMean):
-    """Mean of (v̂ - v)² per component, m²/s²."""
+    """Mean of (v̂ - v)² per component, m²/s²; in two dimensions there are two."""
 
     def update(
         self, predicted: Tensor, true: Tensor, particles: Particles, simulation: Tensor
     ) -> None:
         """Add a batch of predicted and true velocities, (N, 3) m/s; the rest as for `add`."""
-        self.add(squared_error(predicted, true), particles, simulation)
+        axes = particles.scene.dimension
+        self.add(squared_error(predicted, true) * (3 / axes), particles, simulation)
 
 
 @final

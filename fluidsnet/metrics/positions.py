@@ -37,7 +37,8 @@ class MSEn(RolloutMetric):
     names = ("mse_n_m2",)
 
     def measure(self, predicted: Particles, true: Particles, start: Particles) -> Tensor:
-        return mean_of_squares(predicted.position - true.position)[None]
+        axes = true.scene.dimension
+        return mean_of_squares(predicted.position - true.position)[None] * (3 / axes)
 
     def finish(self, values: Tensor) -> Tensor:
         steps = torch.arange(1, values.shape[1] + 1, device=values.device)

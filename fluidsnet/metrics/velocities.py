@@ -18,7 +18,8 @@ class RolloutVelocityMSE(RolloutMetric):
     names = ("velocity_mse",)
 
     def measure(self, predicted: Particles, true: Particles, start: Particles) -> Tensor:
-        return mean_of_squares(predicted.velocity - true.velocity)[None]
+        axes = true.scene.dimension
+        return mean_of_squares(predicted.velocity - true.velocity)[None] * (3 / axes)
 
 
 @final

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -15,13 +15,12 @@ from jsonargparse import ArgumentParser
 from fluidsnet.checkpoint_migration import migrate
 from fluidsnet.deprecated import with_current_names
 from fluidsnet.errors import UserError
-from fluidsnet.features.voxel import GridShape
 from fluidsnet.model import Model
 from fluidsnet.models.shipped import run_path, shipped_models
-from fluidsnet.module import FluidsNet
+from fluidsnet.module import NEEDS, FluidsNet
 
 # Arguments that only training needs.
-_TRAINING = ("optimizer", "schedule", "noise", "grid_shape")
+_TRAINING = ("optimizer", "schedule", "noise", *NEEDS)
 
 
 def load(
@@ -94,7 +93,9 @@ def _prior_alone(config: Path, prior: Mapping[str, Any]) -> Model:
 
 def _trained(folder: Path) -> Model:
     checkpoint = read_checkpoint(folder)
-    module = build(folder / "config.yaml", tuple(checkpoint["hyper_parameters"]["grid_shape"]))
+    settings = checkpoint["hyper_parameters"]
+    needs = {name: settings[name] for name in NEEDS if name in settings}
+    module = build(folder / "config.yaml", **needs)
     module.on_load_checkpoint(checkpoint)
     try:
         module.load_state_dict(checkpoint["state_dict"])
@@ -134,13 +135,21 @@ def read_checkpoint(folder: Path) -> dict[str, Any]:
     return checkpoint
 
 
-def build(config: Path, grid_shape: GridShape, prior: Mapping[str, Any] | None = None) -> FluidsNet:
+def build(
+    config: Path,
+    grid_shape: Sequence[int],
+    prior: Mapping[str, Any] | None = None,
+    dimension: int = 3,
+    varying: Sequence[str] = (),
+) -> FluidsNet:
     """Build an untrained module from the ``model:`` of a config file.
 
     Args:
         config: Such as configs/model/field.yaml or a run's config.yaml.
         grid_shape: Number of cells of the background grid along x, y and z.
         prior: Arguments of the prior in place of those of the config.
+        dimension: Dimensions of the scenes, 2 or 3.
+        varying: Values of the scene that vary between the training simulations.
 
     Raises:
         UserError: The file cannot be read or describes no FluidsNet.
@@ -155,10 +164,9 @@ def build(config: Path, grid_shape: GridShape, prior: Mapping[str, Any] | None =
         settings["prior"] = {**described_prior, "init_args": {**given, **prior}}
     parser = ArgumentParser(exit_on_error=False)
     parser.add_subclass_arguments(FluidsNet, "model")
+    settings |= {"grid_shape": list(grid_shape), "dimension": dimension, "varying": list(varying)}
     try:
-        options = parser.parse_object(
-            {"model": {**described, "init_args": {**settings, "grid_shape": list(grid_shape)}}}
-        )
+        options = parser.parse_object({"model": {**described, "init_args": settings}})
         with warnings.catch_warnings():
             # Blocks are modules; hyperparameters keep their descriptions.
             warnings.filterwarnings("ignore", ".*is already saved during checkpointing.*")

@@ -20,7 +20,7 @@ class Box:
 
     @classmethod
     def of(cls, particles: Particles, clearance: float) -> Box:
-        lower, upper = corners(particles, clearance)
+        lower, upper = particles.scene.room(clearance)
         return cls(particles.per_particle(lower), particles.per_particle(upper))
 
     def inside(self, position: Tensor) -> Tensor:
@@ -33,11 +33,3 @@ class Box:
             (position > self.upper) & (velocity > 0)
         )
         return position.clamp(self.lower, self.upper), velocity.masked_fill(outward, 0.0)
-
-
-def corners(particles: Particles, clearance: float) -> tuple[Tensor, Tensor]:
-    """Return the corners (F, 3) of the boxes that the particles' centers stay in, m."""
-    scene = particles.scene
-    # In a box narrower than two clearances, particles stop in the middle.
-    gap = (scene.extent / 2).clamp_max(clearance * scene.particle_radius)
-    return scene.domain_lower + gap, scene.domain_upper - gap

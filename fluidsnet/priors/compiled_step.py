@@ -22,6 +22,7 @@ from fluidsnet.kernels.threads import set_threads
 from fluidsnet.neighbors.search import Neighbors
 from fluidsnet.particles import Particles
 from fluidsnet.priors.outcome import Outcome
+from fluidsnet.sph import spline_height
 
 
 @final
@@ -66,8 +67,9 @@ class CompiledStep:
             neighbor, offset = in_rows(fluid.row, lists.offset, lists.neighbor)
             described = np.empty((len(place), 14), np.float32)
             density_and_walls(
-                place, *lists, walls.place, walls.volume, numbers.radius, numbers.volume, described
-            )
+                place, *lists, walls.place, walls.volume, numbers.radius, numbers.height,
+                numbers.volume, described,
+            )  # fmt: skip
             particle = np.repeat(np.arange(len(place)), np.diff(offset))
             edges = Neighbors(*map(torch.from_numpy, (particle, neighbor, offset)))
             return edges, rows(described)
@@ -84,11 +86,12 @@ class CompiledStep:
     def _solid_volumes(self, particles: Particles, solids: CellTable) -> NDArray[np.float32]:
         """Return the volumes of the solids, m³, in the order of their table."""
         radius, moving = particles.scene.support_radius, particles.solids_move
+        height = spline_height(radius, particles.scene.dimension)
 
         def volumes(position: Tensor, frame: Tensor) -> NDArray[np.float32]:
             alone, none = CellTables()(_as_fluid(particles))
             volume = np.empty(len(alone.row), np.float32)
-            solid_volumes(alone.place, near_lists(alone, none, radius), radius, volume)
+            solid_volumes(alone.place, near_lists(alone, none, radius), radius, height, volume)
             # Both tables sort the same particles, maybe into other cells.
             of_row = np.empty_like(volume)
             of_row[alone.row] = volume

@@ -12,7 +12,7 @@ from fluidsnet.kernels.sph_sums import REGULARIZATION
 from fluidsnet.moments import moment_weights
 from fluidsnet.neighbors.search import Neighbors
 from fluidsnet.particles import Particles
-from fluidsnet.sph import cubic_spline, spline_slope
+from fluidsnet.sph import cubic_spline, spline_height, spline_slope
 
 
 @final
@@ -29,6 +29,7 @@ class Edges:
         volume: (E,) of the neighbor, m³.
         own_volume: Of a fluid particle, m³.
         radius: Support radius, m.
+        dimension: 2 or 3.
         count: Number of fluid particles.
     """
 
@@ -40,13 +41,14 @@ class Edges:
     volume: Tensor
     own_volume: float
     radius: float
+    dimension: int
     count: int
 
     @classmethod
     def of(cls, particles: Particles, edges: Neighbors, solids: Tensor) -> Edges:
         """Return the edges, given the volumes (M,) of the solids, m³."""
         count, scene = len(particles), particles.scene
-        own_volume = (2 * scene.particle_radius) ** 3
+        own_volume = scene.particle_volume
         solids = solids.to(particles.position.dtype)
         volumes = torch.cat([solids.new_full((count,), own_volume), solids])
         both = torch.cat([particles.position, particles.solid_position])
@@ -65,6 +67,7 @@ class Edges:
             volume=volumes.index_select(0, edges.neighbor),
             own_volume=own_volume,
             radius=scene.support_radius,
+            dimension=scene.dimension,
             count=count,
         )
 
@@ -75,9 +78,10 @@ class Edges:
         other = torch.where(self.wet[:, None], other, place)
         offset = position.index_select(0, self.particle) - other
         distance = torch.linalg.vector_norm(offset, dim=1) + 1e-8 * self.radius
-        gradient = (self.volume * spline_slope(distance, self.radius) / distance)[:, None] * offset
-        density = self.sum(self.volume * cubic_spline(distance, self.radius))
-        density = density + self.own_volume * cubic_spline(distance.new_zeros(()), self.radius)
+        kernel = self.radius, self.dimension
+        gradient = (self.volume * spline_slope(distance, *kernel) / distance)[:, None] * offset
+        density = self.sum(self.volume * cubic_spline(distance, *kernel))
+        density = density + self.own_volume * spline_height(*kernel)
         squares = gradient.square().sum(dim=1) * self.wet
         diagonal = self.sum(gradient).square().sum(dim=1) + self.sum(squares)
         stiffness = 1 / (diagonal + REGULARIZATION / self.radius**2)
@@ -139,7 +143,7 @@ class Gradients:
         return edges.sum(self.gradient * both[:, None])
 
     def viscous(self, velocity: Tensor) -> Tensor:
-        """Return the viscous acceleration (N, 3) over 10ν, between fluid particles."""
+        """Return the viscous acceleration (N, 3) over 2(d + 2)ν, between fluid particles."""
         edges = self.edges
         along = (self._relative(velocity) * self.offset).sum(dim=1) * edges.wet
         along = along / (self.offset.square().sum(dim=1) + 0.01 * edges.radius**2)

@@ -12,6 +12,8 @@ from fluidsnet.priors.prior import Guess, Prior
 class FreeFall(Prior):
     """Free fall over the step: x' = x + Δt·v + ½Δt²·g and v' = v + Δt·g."""
 
+    knows = frozenset({"gravity"})
+
     def forward(self, particles: Particles, described: bool = False) -> Guess:
         step = particles.scene.time_step
         gravity = particles.per_particle(particles.scene.gravity)

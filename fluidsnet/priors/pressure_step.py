@@ -15,13 +15,14 @@ from fluidsnet.kernels.columns import as_array
 from fluidsnet.kernels.pressure_step import Boxes, Numbers
 from fluidsnet.neighbors.auto import Auto
 from fluidsnet.particles import Particles
-from fluidsnet.priors.box import Box, corners
+from fluidsnet.priors.box import Box
 from fluidsnet.priors.columns import join_columns
 from fluidsnet.priors.compiled_step import CompiledStep
 from fluidsnet.priors.edges import Edges, Gradients
 from fluidsnet.priors.outcome import Outcome
 from fluidsnet.priors.prior import Guess, Prior
-from fluidsnet.sph import NEIGHBORS, solid_volumes
+from fluidsnet.scene import Scene
+from fluidsnet.sph import NEIGHBORS, solid_volumes, spline_height
 
 
 @final
@@ -35,17 +36,17 @@ class PressureStep(Prior):
     1. pressures reduce the divergence. A sweep is :math:`p_i ← \max(p_i + ω α_i D_i v, 0)` and
        :math:`v_i ← v_i - \sum_j V_j ∇W_{ij} (Δp_i + Δp_j)`, with :math:`α_i = 1 / (|\sum_j V_j
        ∇W|^2 + \sum_j |V ∇W|^2 + 0.01/r^2)`;
-    2. viscosity and gravity act: :math:`v_i ← v_i + 10νh \sum_j \frac{V}{ρ_j/ρ_0}
+    2. viscosity and gravity act: :math:`v_i ← v_i + 2(d + 2)νh \sum_j \frac{V}{ρ_j/ρ_0}
        \frac{v_{ij}·x_{ij}}{x_{ij}^2 + 0.01 r^2} ∇W_{ij} + h·g`; then other pressures reduce
        divergence and excess density, :math:`D_i v + (ρ_i/ρ_0 - 1) / h`, in the same way. Each phase
        starts from its own share of its pressure in the last substep;
     3. :math:`x ← x + h((1 - a) v_0 + a v)`, with a = (m + 1) / 2m, which is the displacement of m
        steps of symplectic Euler under a constant force; particles stop at the walls.
 
-    :math:`D_i v = \sum_j V_j (v_i - v_j)·∇W_{ij}` is the rate of ρ/ρ₀; r is the support radius, W
-    the cubic spline, V = (2R)³ the volume of a particle of radius R, and V_j that of a solid, 1/ΣW
-    over the solids around it (Akinci et al. 2012). The push is antisymmetric, so it conserves
-    momentum. Solids that move go straight on within a step.
+    :math:`D_i v = \sum_j V_j (v_i - v_j)·∇W_{ij}` is the rate of ρ/ρ₀; d is 3, or 2 in two
+    dimensions; r is the support radius, W the cubic spline, V = (2R)^d the volume of a particle of
+    radius R, and V_j that of a solid, 1/ΣW over the solids around it (Akinci et al. 2012). The push
+    is antisymmetric, so it conserves momentum. Solids that move go straight on within a step.
 
     Args:
         searches: Number of neighbor searches in a step.
@@ -67,6 +68,7 @@ class PressureStep(Prior):
     """
 
     describes = True
+    knows = frozenset({"gravity", "viscosity"})
 
     def __init__(
         self,
@@ -139,11 +141,13 @@ class PressureStep(Prior):
     def _kernel(self, particles: Particles, pressures: tuple[Tensor, Tensor]) -> Outcome:
         """Return the outcome of the substeps of one search, by the kernel."""
         scene = particles.scene
-        lower, upper = corners(particles, self.clearance)
+        lower, upper = scene.room(self.clearance)
         substep = scene.time_step / (self.searches * self.substeps)
         numbers = Numbers(
             radius=scene.support_radius,
-            volume=(2 * scene.particle_radius) ** 3,
+            height=spline_height(scene.support_radius, scene.dimension),
+            volume=scene.particle_volume,
+            viscous=_viscous(scene),
             substep=substep,
             mean_weight=self.mean_weight(substep),
             ahead=self.ahead,
@@ -179,7 +183,7 @@ class PressureStep(Prior):
         step = scene.time_step / (self.searches * self.substeps)
         weight = self.mean_weight(step)
         gravity = particles.per_particle(scene.gravity)
-        viscosity = 10 * step * particles.per_particle(scene.viscosity[:, None])
+        viscosity = _viscous(scene) * step * particles.per_particle(scene.viscosity[:, None])
         position, velocity = particles.position, particles.velocity
         upkeep, pressure = pressures
         divergence = None
@@ -216,3 +220,8 @@ class PressureStep(Prior):
 
     def _raised(self, at: Gradients, pressure: Tensor, rate: Tensor) -> Tensor:
         return (pressure + self.relaxation * at.stiffness * rate).clamp_min(0)
+
+
+def _viscous(scene: Scene) -> float:
+    """Return 2(d + 2), the factor of the viscosity in d dimensions (Monaghan 2005)."""
+    return 2.0 * (scene.dimension + 2)

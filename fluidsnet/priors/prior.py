@@ -35,9 +35,11 @@ class Prior(nn.Module, ABC):
 
     Attributes:
         describes: Its guess has neighbors and columns.
+        knows: Values of the scene that its step depends on, of `fluidsnet.scene.VALUES`.
     """
 
     describes: bool = False
+    knows: frozenset[str] = frozenset()
 
     @abstractmethod
     def forward(self, particles: Particles, described: bool) -> Guess:

@@ -15,7 +15,7 @@ from datamodules.schema import DAMAGE, SPLITS, Header, SceneAttributes, open_val
 from datamodules.sph import SPHDataModule
 from fluidsnet.cli import SEED
 from fluidsnet.errors import UserError
-from fluidsnet.module import FluidsNet
+from fluidsnet.module import NEEDS, FluidsNet
 from fluidsnet.report.page import Folded, Note, Part, Table
 from fluidsnet.report.run import CONFIG, Run, flat
 from fluidsnet.report.tables import NONE, union
@@ -60,7 +60,8 @@ def shipped() -> dict[str, str]:
     parser.add_lightning_class_args(Trainer, "trainer")
     parser.add_lightning_class_args(FluidsNet, "model", subclass_mode=True, required=False)
     parser.add_lightning_class_args(SPHDataModule, "data", subclass_mode=True)
-    parser.link_arguments("data.grid_shape", "model.init_args.grid_shape", apply_on="instantiate")
+    for need in NEEDS:
+        parser.link_arguments(f"data.{need}", f"model.init_args.{need}", apply_on="instantiate")
     data = ["--data=datamodules.SPHDataModule", *(f"--{name}=1" for name in _REQUIRED)]
     config = parser.parse_args([*(f"--config={path}" for path in _SHIPPED), *data])
     saved = yaml.safe_load(parser.dump(config, skip_unset=False))

@@ -191,7 +191,6 @@ def test_solids_that_move_are_read_with_their_frame(write_file: Write) -> None:
     ("change", "words"),
     [
         ({"periodic": [(False,) * 3, (True, False, False)]}, "/00001 is periodic"),
-        ({"dimension": 2}, "/00000 is in two dimensions"),
     ],
 )
 def test_scenes_that_cannot_be_stepped_are_refused(

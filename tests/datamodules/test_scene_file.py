@@ -30,7 +30,7 @@ LOWER = (-0.5, 0.0, 2.0)
 @pytest.fixture
 def scene(tmp_path: Path) -> dict[str, Any]:
     """Return a scene of a block of fluid in a box, whose mesh is in the folder."""
-    write_box(tmp_path / "box.obj", (EDGE, EDGE, EDGE))
+    write_box(tmp_path / "box.obj", (0.0, 0.0, 0.0), (EDGE, EDGE, EDGE))
     return {
         "Configuration": {
             "particleRadius": RADIUS,
@@ -129,17 +129,18 @@ def test_without_walls_the_domain_holds_all_that_moved(
 
 
 @needs_solver
-def test_two_dimensions_are_stored_and_not_trained_on(
-    tmp_path: Path, scene: dict[str, Any]
-) -> None:
+def test_two_dimensions_are_stored_and_read(tmp_path: Path, scene: dict[str, Any]) -> None:
     scene["Configuration"]["sim2D"] = True
     scene["RigidBodies"][0]["translation"] = [-0.5, 0.0, -0.5]
     block = {"denseMode": 0, "start": [-0.4, 0.1, -0.5], "end": [0.0, 0.5, 0.5]}
     group = made(tmp_path, {**scene, "FluidBlocks": [block]}, frames=3)
     assert SceneAttributes.read(group).dimension == 2
     assert np.ptp(group["position"][:, :, 2]) == 0
-    with pytest.raises(UserError, match="dimension"):
-        FrameReader(tmp_path / "data" / "test.h5").state("00000", 0, stride=1)
+    state = FrameReader(tmp_path / "data" / "test.h5").state("00000", 0, stride=1)
+    assert state.scene.dimension == 2
+    # The box is one particle deep, whatever the depth of the walls.
+    assert state.scene.edges[0][2] == pytest.approx(2 * state.scene.particle_radius)
+    assert state.scene.gravity[0, 2] == 0
 
 
 SCRIPT = """
@@ -155,7 +156,7 @@ def step():
 
 @needs_solver
 def test_an_animated_body_moves(tmp_path: Path, scene: dict[str, Any]) -> None:
-    write_box(tmp_path / "paddle.obj", (0.2, 0.2, 0.2))
+    write_box(tmp_path / "paddle.obj", (0.0, 0.0, 0.0), (0.2, 0.2, 0.2))
     scene["RigidBodies"].append(body("paddle.obj", (0.2, 0.2, 2.6), isAnimated=True))
     (tmp_path / "paddle.py").write_text(SCRIPT)
     with pytest.raises(UserError, match=r"no scriptFile that moves it"):

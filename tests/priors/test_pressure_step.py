@@ -68,6 +68,28 @@ def with_moving_walls(state: Particles, velocity: tuple[float, float, float]) ->
     return state.with_solids(state.solid_position, speed + turn)
 
 
+def flat_block() -> Particles:
+    """Return one layer of the block, with the walls in its plane, in two dimensions."""
+    state, plane = block(), 1.1 * RADIUS
+
+    def flat(vectors: Tensor, height: float) -> Tensor:
+        return torch.cat([vectors[:, :2], torch.full((len(vectors), 1), height)], dim=1)
+
+    lower, upper = torch.zeros(3), torch.full((3,), EDGE)
+    lower[2], upper[2] = plane - RADIUS, plane + RADIUS
+    where = Scene.single(
+        lower.tolist(), upper.tolist(), GRAVITY, RADIUS, 4 * RADIUS, 0.02, viscosity=0.05,
+        dimension=2,
+    )  # fmt: skip
+    fluid, walls = state.position[:, 2] < 2 * RADIUS, state.solid_position[:, 2] == 0
+    return Particles.single(
+        flat(state.position[fluid], plane),
+        flat(state.velocity[fluid], 0.0),
+        flat(state.solid_position[walls & (state.solid_position[:, :2] == 0).any(dim=1)], plane),
+        where,
+    )
+
+
 CASES = {
     "walls that move": lambda: with_moving_walls(block(), (0.4, 0.3, -0.6)),
     "walls of one frame move": lambda: Particles.collate(
@@ -82,6 +104,7 @@ CASES = {
     "two at one place": lambda: Particles.single(
         torch.full((2, 3), 0.4), torch.eye(3)[:2], torch.empty(0, 3), scene()
     ),
+    "two dimensions": lambda: flat_block(),
     "outside": lambda: (it := block()).moved(it.position - 0.06, it.velocity),
 }  # fmt: skip
 
