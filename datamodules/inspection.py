@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from argparse import ArgumentParser
 from collections.abc import Iterable
 from pathlib import Path
 from textwrap import indent
@@ -158,20 +157,3 @@ def _numbers(values: Iterable[float], separator: str = ", ") -> str:
 
 def _vector(values: Iterable[float]) -> str:
     return ", ".join(f"{value:.3f}" for value in values)
-
-
-def inspect_command(arguments: list[str]) -> None:
-    """Print a summary of each file named in the arguments.
-
-    Raises:
-        UserError: a file is not valid.
-    """
-    parser = ArgumentParser(
-        prog="fluidsnet inspect",
-        description="Print a summary of data files, and warn of suspicious values in them.",
-    )
-    parser.add_argument(
-        "files", nargs="+", type=Path, metavar="FILE", help="data file, such as train.h5"
-    )
-    for path in parser.parse_args(arguments).files:
-        print(describe(path))

@@ -117,9 +117,7 @@ class SPHDataModule(LightningDataModule):
     @property
     def grid_shape(self) -> tuple[int, int, int]:
         """Cells of the background grid along x, y and z: the fewest that cover `scene`'s domain."""
-        # The tolerance keeps 1.5 / 0.1 from becoming 16 by rounding.
-        x, y, z = (max(math.ceil(edge / self.voxel_size - 1e-4), 1) for edge in self.scene.edges[0])
-        return x, y, z if self.dimension == 3 else 1
+        return grid_shape(self.scene, self.voxel_size)
 
     @property
     def dimension(self) -> int:
@@ -131,13 +129,7 @@ class SPHDataModule(LightningDataModule):
         """Names of the `fluidsnet.scene.VALUES` that differ between the training simulations."""
         if not (self.root / "train.h5").exists():
             return []
-        values = torch.cat([scene.values for scene in self._reader("train").scenes(self.stride)])
-        parts = torch.split(values, list(VALUES.values()), dim=1)
-        return [
-            name
-            for name, part in zip(VALUES, parts, strict=True)
-            if not torch.isclose(part, part[:1]).all()
-        ]
+        return varying(self._reader("train").scenes(self.stride))
 
     @cached_property
     def statistics(self) -> Statistics:
@@ -280,3 +272,23 @@ class SPHDataModule(LightningDataModule):
     def _steps(self, split: str) -> int:
         """Return the next states per sample; validation and test always take one."""
         return self.steps if split == "train" else 1
+
+
+def grid_shape(scene: Scene, voxel_size: float) -> tuple[int, int, int]:
+    """Return the fewest cells along x, y and z that cover a scene's domain; one along a flat axis.
+
+    Args:
+        scene: Scene; the domain of its first frame counts.
+        voxel_size: Edge of a cell, m.
+    """
+    # The tolerance keeps 1.5 / 0.1 from becoming 16 by rounding.
+    x, y, z = (max(math.ceil(edge / voxel_size - 1e-4), 1) for edge in scene.edges[0])
+    return x, y, z if scene.dimension == 3 else 1
+
+
+def varying(scenes: Sequence[Scene]) -> list[str]:
+    """Return the names of the `fluidsnet.scene.VALUES` that differ between scenes."""
+    columns = torch.cat([scene.values for scene in scenes])
+    differs = (~torch.isclose(columns, columns[:1])).any(dim=0).tolist()
+    names = [name for name, width in VALUES.items() for _ in range(width)]
+    return list(dict.fromkeys(it for it, on in zip(names, differs, strict=True) if on))

@@ -138,13 +138,19 @@ class Network(nn.Module):
         Values of the scene that vary follow them.
         """
         columns = self.inputs(particles, guess)
-        parts = [columns, self._local(particles, guess, columns)]
+        parts = [columns, self.neighborhood(particles, guess, columns)]
         if self.scene_inputs.width:
             parts.append(self.scene_inputs(particles))
         return torch.cat(parts, dim=1)
 
-    def _local(self, particles: Particles, guess: Guess, columns: Tensor) -> Tensor:
-        """Return the local feature of the fluid particles."""
+    def neighborhood(self, particles: Particles, guess: Guess, columns: Tensor) -> Tensor:
+        """Return the local feature of the fluid particles, (N, local.width).
+
+        Args:
+            particles: State.
+            guess: State one step later by the prior.
+            columns: (N, inputs.width) input feature.
+        """
         if self.local.at_guess and guess.neighbors is not None:
             with record_function("local"):
                 moved = particles.moved(guess.position, guess.velocity)

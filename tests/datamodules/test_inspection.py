@@ -13,8 +13,9 @@ import h5py
 import numpy as np
 import pytest
 
-from datamodules.inspection import describe, inspect_command
+from datamodules.inspection import describe
 from fluidsnet.errors import UserError
+from fluidsnet.studies.plan.command import inspect_command
 
 Spoil = Callable[[h5py.File], None]
 
