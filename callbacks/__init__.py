@@ -3,6 +3,7 @@
 from callbacks.ablation import Ablation as Ablation
 from callbacks.ablation_picture import AblationPicture as AblationPicture
 from callbacks.compiled_network import CompiledNetwork as CompiledNetwork
+from callbacks.energy_record import EnergyRecord as EnergyRecord
 from callbacks.global_feature_permutation import (
     GlobalFeaturePermutation as GlobalFeaturePermutation,
 )

@@ -20,6 +20,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 import callbacks
 from callbacks import (
+    EnergyRecord,
     OneStepTable,
     RolloutMesh,
     RolloutMetrics,
@@ -29,6 +30,7 @@ from callbacks import (
 )
 from datamodules import SPHDataModule
 from fluidsnet import FluidsNet
+from fluidsnet.errors import UserError
 from fluidsnet.export.vtkhdf import read_field_data, read_frame
 from fluidsnet.features import NoGlobalFeature
 from fluidsnet.reporting.rollout_frames import Frame, speed_limit
@@ -245,3 +247,28 @@ def test_each_module_in_the_folder_of_callbacks_has_a_callback() -> None:
         classes = [value for value in vars(module).values() if isinstance(value, type)]
         own = [value for value in classes if value.__module__ == module.__name__]
         assert any(issubclass(value, Callback) for value in own), path
+
+
+def test_energy_and_density_are_recorded_without_a_truth(sample: Path, tmp_path: Path) -> None:
+    folder = results(sample, tmp_path, EnergyRecord(rows=4), rollout_steps=9)
+    recorded = rows(folder / "energy.csv")
+    first = [row for row in recorded if row["simulation"] == recorded[0]["simulation"]]
+    assert [int(row["step"]) for row in first] == [0, 3, 6, 9]
+    with h5py.File(sample / "test.h5") as file:
+        group = file[first[0]["simulation"]]
+        position, velocity = (group[name][0].astype(float) for name in ("position", "velocity"))
+        lower, pull = file.attrs["domain_lower"], -file.attrs["gravity"][1]
+    height = (position[:, 1] - lower[1]).mean()
+    assert float(first[0]["potential J/kg"]) == pytest.approx(pull * height, rel=1e-5)
+    kinetic = (velocity**2).sum(axis=1).mean() / 2
+    assert float(first[0]["kinetic J/kg"]) == pytest.approx(kinetic, abs=1e-6)
+    assert float(first[0]["escaped"]) == 0
+    # The network's weights are constant: its velocities are those of the record.
+    assert float(first[-1]["fastest m/s"]) ** 2 / 2 >= float(first[-1]["kinetic J/kg"])
+    with Image.open(folder / "energy.png") as picture:
+        assert picture.width > 1000
+
+
+def test_a_record_of_one_row_is_refused() -> None:
+    with pytest.raises(UserError, match="rows is 1; set at least 2"):
+        EnergyRecord(rows=1)
