@@ -45,6 +45,8 @@ class SPHDataModule(LightningDataModule):
         augmentation: Changes training samples, such as `BoxSymmetry`; none by default.
         rollout_steps: Steps of each rollout of `predict`; by default to the end of each
             simulation. It may be more than test.h5 has.
+        rollout_simulations: Number of simulations that `predict` rolls out, from the first in
+            test.h5; all by default.
         workers: Number of processes that read ahead.
         seed: Seed of the split by frame.
 
@@ -65,6 +67,7 @@ class SPHDataModule(LightningDataModule):
         split_by: Literal["simulation", "frame"] = "simulation",
         augmentation: Augmentation | None = None,
         rollout_steps: int | None = None,
+        rollout_simulations: int | None = None,
         workers: int = 0,
         seed: int = 0,
     ) -> None:
@@ -75,8 +78,10 @@ class SPHDataModule(LightningDataModule):
         self.frame_range, self.sample_every = frame_range, sample_every
         self.batch_size, self.split_by = batch_size, split_by
         self.augmentation, self.rollout_steps = augmentation, rollout_steps
+        self.rollout_simulations = rollout_simulations
         self.workers, self.seed = workers, seed
-        counts = ("stride", "steps", "sample_every", "batch_size", "rollout_steps")
+        rollouts = ("rollout_steps", "rollout_simulations")
+        counts = ("stride", "steps", "sample_every", "batch_size", *rollouts)
         for name, least in {"voxel_size": 1e-9, "workers": 0, **dict.fromkeys(counts, 1)}.items():
             value = getattr(self, name)
             if value is not None and not value >= least:  # also refuses NaN
@@ -192,7 +197,9 @@ class SPHDataModule(LightningDataModule):
         return self._loader("test")
 
     def predict_dataloader(self) -> DataLoader[RolloutStart]:
-        dataset = self.rollout_starts("test", steps=self.rollout_steps, beyond_truth=True)
+        dataset = self.rollout_starts(
+            "test", (0,), self.rollout_steps, self.rollout_simulations, beyond_truth=True
+        )
         return DataLoader(dataset, batch_size=None, sampler=each_once(dataset))
 
     def rollout_starts(

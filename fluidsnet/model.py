@@ -232,20 +232,39 @@ class Model(nn.Module):
         motion = self.network.target.decode(output, particles, guess)
         return self.walls(self.integrator(particles, motion))
 
-    def loss(self, batch: Transitions) -> Tensor:
-        """Return the mean squared error of the network output over the batch's steps, ()."""
+    def loss(self, batch: Transitions, warm_up: int = 0) -> Tensor:
+        """Return the mean squared error of the network output over the batch's steps, ().
+
+        Args:
+            batch: True states, and more steps than those of the warm-up.
+            warm_up: Number of first steps that are taken without gradients and do not count, so
+                that the network learns from states that it reaches itself (the pushforward of
+                Brandstetter et al. 2022).
+
+        Raises:
+            UserError: The batch has no step after the warm-up.
+        """
+        if warm_up >= len(batch.next_position):
+            raise UserError(
+                f"The data have samples of {len(batch.next_position)} step(s), and a warm-up takes "
+                f"{warm_up}; set data.steps above model.warm_up."
+            )
         state = batch.state if self.noise is None else self.noise(batch.state)
         losses = []
         true = zip(batch.next_position, batch.next_velocity, strict=True)
         for step, (position, velocity) in enumerate(true, start=1):
-            guess = self.guess(state)
-            output = self.network(state, guess)
-            expected = self.network.target.encode(state, guess, position, velocity)
-            losses.append(mean_square(output, expected))
-            if len(losses) < len(batch.next_position):
-                state = self.advance(state, guess, output)
-                if batch.solids is not None:
-                    state = state.with_solids(*batch.solids[step])
+            if step <= warm_up:
+                with torch.no_grad():
+                    state = self.step(state)
+            else:
+                guess = self.guess(state)
+                output = self.network(state, guess)
+                expected = self.network.target.encode(state, guess, position, velocity)
+                losses.append(mean_square(output, expected))
+                if step < len(batch.next_position):
+                    state = self.advance(state, guess, output)
+            if batch.solids is not None and step < len(batch.next_position):
+                state = state.with_solids(*batch.solids[step])
         return torch.stack(losses).mean()
 
     def blocks(self) -> dict[str, Any]:

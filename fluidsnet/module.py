@@ -51,10 +51,12 @@ class FluidsNet(LightningModule):
             data.
         optimizer: Optimizer; Adam at 0.003 by default (section 5.3).
         schedule: Learning rate schedule; by default 1/20 of the rate in the second half.
+        warm_up: Steps that each training sample is advanced by the model before those that it
+            learns from; fewer than the data's `steps`.
         **blocks: Blocks of the model, see `Model`.
 
     Raises:
-        UserError: The blocks cannot be combined.
+        UserError: The blocks cannot be combined, or the warm-up is negative.
     """
 
     def __init__(
@@ -64,6 +66,7 @@ class FluidsNet(LightningModule):
         varying: Sequence[str] = (),
         optimizer: OptimizerCallable | None = None,
         schedule: ScheduleCallable | None = None,
+        warm_up: int = 0,
         **blocks: Any,
     ) -> None:
         super().__init__()
@@ -71,6 +74,9 @@ class FluidsNet(LightningModule):
         # jsonargparse reads the blocks' names and types from this call.
         model = Model(grid_shape, dimension, varying, **blocks)
         self.models = torch.nn.ModuleDict({"model": model})
+        if warm_up < 0:
+            raise UserError(f"model.warm_up is {warm_up}; set at least 0.")
+        self.warm_up = warm_up
         self.optimizer = optimizer or adam
         self.schedule = schedule or HalfwayDrop
         # A metric, since Lightning's mean over processes is wrong where one has more frames.
@@ -162,7 +168,7 @@ class FluidsNet(LightningModule):
     def training_step(self, batch: Transitions, batch_index: int) -> Tensor:
         models, frames = self.named_models(), batch.state.frames
         losses = with_same_rng(
-            self.device, [partial(model.loss, batch) for model in models.values()]
+            self.device, [partial(model.loss, batch, self.warm_up) for model in models.values()]
         )
         self.log("train/loss", losses[0], batch_size=frames, prog_bar=True, sync_dist=True)
         if len(models) > 1:

@@ -18,6 +18,7 @@ from fluidsnet.integrator import Displacement
 from fluidsnet.kernels import disabled
 from fluidsnet.model import Model
 from fluidsnet.noise import StartNoise
+from fluidsnet.particles import Transitions
 from fluidsnet.priors import FreeFall, PressureStep, Prior
 from fluidsnet.target import DisplacementTarget, PriorAlone
 
@@ -119,6 +120,29 @@ def test_the_loss_reaches_the_weights_through_several_steps(sample: Path) -> Non
     model.loss(batch).backward()
     for name, weight in model.named_parameters():
         assert weight.grad is not None and weight.grad.abs().max() > 0, name
+
+
+def test_a_warm_up_learns_from_the_state_that_it_reaches(sample: Path) -> None:
+    source = data(sample, steps=3, batch_size=2)
+    model = network(source.grid_shape).model
+    model.set_statistics(source.statistics, source.time_step)
+    model.noise = None
+    batch = next(iter(source.train_dataloader()))
+    with torch.no_grad():
+        reached = model.step(model.step(batch.state))
+    last = Transitions(reached, batch.next_position[2:], batch.next_velocity[2:], batch.simulation)
+    model.loss(last).backward()
+    expected = {name: weight.grad.clone() for name, weight in model.named_parameters()}
+    model.zero_grad()
+    model.loss(batch, warm_up=2).backward()
+    for name, weight in model.named_parameters():
+        torch.testing.assert_close(weight.grad, expected[name], msg=name)
+    with pytest.raises(
+        UserError, match=r"3 step\(s\), and a warm-up takes 3; set data"
+    ):
+        model.loss(batch, warm_up=3)
+    with pytest.raises(UserError, match="warm_up is -1"):
+        FluidsNet(source.grid_shape, warm_up=-1)
 
 
 def test_blocks_that_read_the_prior_need_one_that_describes_itself() -> None:

@@ -20,7 +20,7 @@ from fluidsnet.models.shipped import run_path, shipped_models
 from fluidsnet.module import NEEDS, FluidsNet
 
 # Arguments that only training needs.
-_TRAINING = ("optimizer", "schedule", "noise", *NEEDS)
+_TRAINING = ("optimizer", "schedule", "noise", "warm_up", *NEEDS)
 
 
 def load(
