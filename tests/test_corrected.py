@@ -137,9 +137,7 @@ def test_a_warm_up_learns_from_the_state_that_it_reaches(sample: Path) -> None:
     model.loss(batch, warm_up=2).backward()
     for name, weight in model.named_parameters():
         torch.testing.assert_close(weight.grad, expected[name], msg=name)
-    with pytest.raises(
-        UserError, match=r"3 step\(s\), and a warm-up takes 3; set data"
-    ):
+    with pytest.raises(UserError, match=r"3 step\(s\), and a warm-up takes 3; set data"):
         model.loss(batch, warm_up=3)
     with pytest.raises(UserError, match="warm_up is -1"):
         FluidsNet(source.grid_shape, warm_up=-1)
