@@ -37,14 +37,11 @@ from fluidsnet.walls import OpenWalls, Walls
 class Model(nn.Module):
     """One step in time of the fluid particles, composed from blocks.
 
-    The first three arguments are what the data need; the others are the blocks, and `BLOCKS` has
-    their names.
+    The first argument and the last two are what the data need; the others are the blocks, and
+    `BLOCKS` has their names.
 
     Args:
         grid_shape: Number of cells of the background grid along x, y and z.
-        dimension: Dimensions of the scenes, 2 or 3.
-        varying: Values of the scene that vary between the training simulations, of
-            `fluidsnet.scene.VALUES`. Those that the prior does not know are an input.
         neighbors: Neighbor search; `Auto` by default.
         inputs: Input feature (paper, section 4.2); `ParticleState` by default.
         local: Local feature (section 4.3); `NeighborMean` by default.
@@ -56,6 +53,9 @@ class Model(nn.Module):
         head: Widths of the head's hidden layers (Table 1: 32, 16, 8).
         noise: Noise on the states that are trained on; none by default.
         prior: Step that the network corrects; `FreeFall` by default.
+        dimension: Dimensions of the scenes, 2 or 3.
+        varying: Values of the scene that vary between the training simulations, of
+            `fluidsnet.scene.VALUES`. Those that the prior does not know are an input.
 
     Raises:
         UserError: The integrator needs a displacement and the target gives none, or a block needs
@@ -67,8 +67,6 @@ class Model(nn.Module):
     def __init__(
         self,
         grid_shape: GridShape,
-        dimension: int = 3,
-        varying: Sequence[str] = (),
         neighbors: NeighborSearch | None = None,
         inputs: InputFeature | None = None,
         local: LocalFeature | None = None,
@@ -79,6 +77,8 @@ class Model(nn.Module):
         head: Sequence[int] = (32, 16, 8),
         noise: StartNoise | None = None,
         prior: Prior | None = None,
+        dimension: int = 3,
+        varying: Sequence[str] = (),
     ) -> None:
         super().__init__()
         # Blocks that the network builds; a twin builds its own from the same recipe.
@@ -289,8 +289,8 @@ class Model(nn.Module):
         with preserve_rng_state():
             twin = Model(
                 self.network.grid_shape,
-                self.network.dimension,
-                self.varying if varying is None else varying,
+                dimension=self.network.dimension,
+                varying=self.varying if varying is None else varying,
                 **{**deepcopy(blocks), **self._recipes, **(changes or {})},
             )
         own, source = twin.state_dict(), self.state_dict()
@@ -300,7 +300,7 @@ class Model(nn.Module):
 
 
 #: Names of the blocks.
-BLOCKS = tuple(inspect.signature(Model).parameters)[3:]
+BLOCKS = tuple(inspect.signature(Model).parameters)[1:-2]
 _TYPES = {name: get_type_hints(Model.__init__)[name] for name in BLOCKS}
 # A model without one of the others gets its default.
 _OPTIONAL = {"noise"}

@@ -46,13 +46,13 @@ class FluidsNet(LightningModule):
     Args:
         grid_shape: Number of cells of the background grid along x, y and z; linked to the data's
             domain and voxel size.
-        dimension: Dimensions of the scenes, 2 or 3; linked to the data.
-        varying: Values of the scene that vary between the training simulations; linked to the
-            data.
         optimizer: Optimizer; Adam at 0.003 by default (section 5.3).
         schedule: Learning rate schedule; by default 1/20 of the rate in the second half.
         warm_up: Steps that each training sample is advanced by the model before those that it
             learns from; fewer than the data's `steps`.
+        dimension: Dimensions of the scenes, 2 or 3; linked to the data.
+        varying: Values of the scene that vary between the training simulations; linked to the
+            data.
         **blocks: Blocks of the model, see `Model`.
 
     Raises:
@@ -62,17 +62,17 @@ class FluidsNet(LightningModule):
     def __init__(
         self,
         grid_shape: tuple[int, int, int],
-        dimension: int = 3,
-        varying: Sequence[str] = (),
         optimizer: OptimizerCallable | None = None,
         schedule: ScheduleCallable | None = None,
         warm_up: int = 0,
+        dimension: int = 3,
+        varying: Sequence[str] = (),
         **blocks: Any,
     ) -> None:
         super().__init__()
         self.save_hyperparameters()
         # jsonargparse reads the blocks' names and types from this call.
-        model = Model(grid_shape, dimension, varying, **blocks)
+        model = Model(grid_shape, dimension=dimension, varying=varying, **blocks)
         self.models = torch.nn.ModuleDict({"model": model})
         if warm_up < 0:
             raise UserError(f"model.warm_up is {warm_up}; set at least 0.")

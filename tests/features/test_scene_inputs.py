@@ -56,7 +56,7 @@ def test_a_scene_without_what_varies_has_no_column_and_the_same_weights() -> Non
     torch.manual_seed(0)
     plain = Model((2, 2, 2), global_feature=NoGlobalFeature)
     torch.manual_seed(0)
-    constant = Model((2, 2, 2), 3, [], global_feature=NoGlobalFeature)
+    constant = Model((2, 2, 2), global_feature=NoGlobalFeature, dimension=3, varying=[])
     assert plain.state_dict().keys() == constant.state_dict().keys()
     for name, value in plain.state_dict().items():
         assert torch.equal(value, constant.state_dict()[name]), name
