@@ -36,7 +36,8 @@ class EnergyRecord(Callback, RolloutObserver):
     The table is ``energy.csv`` and ``.md``, the picture ``energy.png``. The potential energy is
     zero at the corner of the domain that is lowest under the scene's gravity; both energies are
     per mass. `density_error` is the mean of max(0, ρ/ρ₀ - 1), `density_error_999` its 99.9th
-    percentile. A value that is not finite is inf.
+    percentile. A value that is not finite is inf. Of several processes, the first records its
+    rollouts; the others record none.
 
     Args:
         rows: Greatest number of rows of a rollout, evenly spread over its steps; the start and the

@@ -8,8 +8,8 @@ from pathlib import Path
 import torch
 
 from datamodules.inspection import describe
+from datamodules.needs import grid_shape, varying
 from datamodules.reader import FrameReader
-from datamodules.sph import grid_shape, varying
 from fluidsnet.errors import UserError
 from fluidsnet.models import load
 from fluidsnet.models.loading import build, config_path, has_weights
