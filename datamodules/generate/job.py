@@ -20,10 +20,10 @@ from datamodules.generate.particle_file import write_bgeo
 from datamodules.generate.scenes import CLEARANCE
 from datamodules.schema import Header, SceneAttributes
 
-SolverName = Literal["WCSPH", "PCISPH", "IISPH", "DFSPH"]
+SolverName = Literal["WCSPH", "PCISPH", "PBF", "IISPH", "DFSPH"]
 
 #: SPlisHSPlasH's numbers of its pressure solvers.
-METHODS: dict[str, int] = {"WCSPH": 0, "PCISPH": 1, "IISPH": 3, "DFSPH": 4}
+METHODS: dict[str, int] = {"WCSPH": 0, "PCISPH": 1, "PBF": 2, "IISPH": 3, "DFSPH": 4}
 
 #: Default parameters of each pressure solver, from the example scenes of SPlisHSPlasH: the
 #: tolerance in per cent of the rest density, and the stiffness of WCSPH. With SPlisHSPlasH's
@@ -31,13 +31,20 @@ METHODS: dict[str, int] = {"WCSPH": 0, "PCISPH": 1, "IISPH": 3, "DFSPH": 4}
 PARAMETERS: dict[SolverName, dict[str, float]] = {
     "WCSPH": {"stiffness": 50000, "exponent": 7},
     "PCISPH": {"maxIterations": 100, "maxError": 0.05},
+    "PBF": {"maxIterations": 100, "maxError": 0.05},
     "IISPH": {"maxIterations": 100, "maxError": 0.05},
     "DFSPH": {"maxIterations": 100, "maxError": 0.05, "maxIterationsV": 100, "maxErrorV": 0.1},
 }
 
 #: Default time step of each pressure solver, s. In a step of WCSPH, which has no pressure
 #: solve, sound (19 m/s at its stiffness) may cross 0.4 of a particle.
-SOLVER_STEPS = {"WCSPH": 0.0005, "PCISPH": 0.0025, "IISPH": 0.0025, "DFSPH": 0.0025}
+SOLVER_STEPS = {
+    "WCSPH": 0.0005,
+    "PCISPH": 0.0025,
+    "PBF": 0.0025,
+    "IISPH": 0.0025,
+    "DFSPH": 0.0025,
+}
 
 #: Boundary handling of Akinci et al. 2012, which has boundary particles.
 AKINCI_2012 = 0

@@ -8,7 +8,9 @@ remains where the solver ends.
 from __future__ import annotations
 
 import json
+import math
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -22,6 +24,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from datamodules.generate.bodies import from_description
 from datamodules.generate.job import PARAMETERS, DrawnJob, SolverName, scene_file
 from datamodules.generate.particle_file import write_bgeo
 from datamodules.generate.solver import load_solver, start_solver
@@ -44,6 +47,9 @@ class Replay:
         tolerance: Of density and divergence, per cent; none for WCSPH.
         threads: OpenMP threads.
         runs: Start frame and number of frames of each run.
+        moved: Standard deviation of a normal noise on the positions of the starts, m.
+        coarsen: Factor of the particle radius. Above 1 the solver samples the bodies of the scene
+            anew, and all runs start at frame 0.
     """
 
     data: str
@@ -53,6 +59,8 @@ class Replay:
     tolerance: float | None
     threads: int
     runs: list[tuple[int, int]]
+    moved: float = 0.0
+    coarsen: float = 1.0
 
     def parameters(self) -> dict[str, float]:
         """Return the solver's parameters under SPlisHSPlasH's names."""
@@ -75,12 +83,16 @@ class Replayed:
         velocity: (N, 3) m/s.
         wall: Wall time of the solver steps of a frame, s.
         cpu: Time of all cores for them, s.
+        setup: Wall time before the first step, s.
+        memory: Most memory in use so far, without that of the solver's libraries, MB.
     """
 
     position: Array
     velocity: Array
     wall: float
     cpu: float
+    setup: float
+    memory: float
 
 
 def replay(job: Replay, advance: Callable[[], None]) -> Iterator[tuple[int, int, Replayed]]:
@@ -125,46 +137,32 @@ def replay(job: Replay, advance: Callable[[], None]) -> Iterator[tuple[int, int,
         for path in paths:
             run, frame = map(int, path.stem.split("_"))
             with np.load(path) as values:
-                wall, cpu = values["seconds"].tolist()
-                state = Replayed(values["position"], values["velocity"], wall, cpu)
+                state = Replayed(values["position"], values["velocity"], *values["costs"].tolist())
             yield run, frame, state
 
 
 def _continue(job: Replay, folder: Path) -> None:
     """Run a job in this process and write its states to a folder."""
+    solver = load_solver()
+    began, before = time.perf_counter(), _peak_memory()
     with h5py.File(job.data, "r") as file:
-        group = file[job.simulation]
-        header, scene = Header.read(file), SceneAttributes.read(group)
+        group, header = file[job.simulation], Header.read(file)
         states: Any = (group["position"], group["velocity"])
         steps = max(round(header.dt / job.solver_step), 1)
         stride = max(round(job.solver_step / header.dt), 1)
-        drawn = DrawnJob(
-            output=str(folder / "unused.h5"),
-            header=replace(header, solver=job.solver),
-            solver_step=job.solver_step,
-            steps_per_frame=steps,
-            frames=1,
-            threads=job.threads,
-            scene=scene,
-            entropy=[],
-            bodies=[],
-            parameters=job.parameters(),
-        )
-        described = scene_file(drawn, folder)
-        particles = folder / "particles.bgeo"
-        write_bgeo(particles, states[0][job.runs[0][0]].astype(float))
-        described["FluidModels"] = [{"particleFile": str(particles)}]
-        solver = load_solver()
+        described = _scene(job, header, group, steps, folder)
         base = start_solver(solver, described, folder)
+        setup = time.perf_counter() - began
         fluid = solver.Simulation.getCurrent().getFluidModel(0)
         for number, (first, frames) in enumerate(job.runs):
-            _put(fluid, *(values[first] for values in states))
+            if job.coarsen == 1:
+                _put(fluid, states[0][first], states[1][first], job.moved)
             for frame in range(stride, frames + 1, stride):
                 wall, cpu = time.perf_counter(), time.process_time()
                 for _ in range(steps):
                     base.timeStepNoGUI()
                 spent = time.perf_counter() - wall, time.process_time() - cpu
-                seconds = spent[0] / stride, spent[1] / stride
+                costs = (*(it / stride for it in spent), setup, _peak_memory() - before)
                 # Parts of buffers of the solver, which moves them.
                 position, velocity = (
                     np.array(fluid.getFieldBuffer(name))[: fluid.numActiveParticles()]
@@ -172,17 +170,58 @@ def _continue(job: Replay, folder: Path) -> None:
                 )
                 partial = folder / "partial"
                 with partial.open("wb") as out:
-                    np.savez(out, position=position, velocity=velocity, seconds=seconds)
+                    np.savez(out, position=position, velocity=velocity, costs=costs)
                 partial.rename(folder / f"{number:05}_{frame:05}.npz")
                 if not np.isfinite(position).all():
                     break  # its search would fail
 
 
-def _put(fluid: Any, position: Array, velocity: Array) -> None:
-    """Set the state of all particles; SPlisHSPlasH keeps their order."""
-    for row, (place, speed) in enumerate(zip(position.tolist(), velocity.tolist(), strict=True)):
+def _scene(
+    job: Replay, header: Header, group: h5py.Group, steps: int, folder: Path
+) -> dict[str, Any]:
+    """Return the scene of a job in SPlisHSPlasH's format, and write the files that it needs."""
+    coarse = job.coarsen != 1
+    bodies = json.loads(group.attrs["scene_parameters"]) if coarse else []
+    drawn = DrawnJob(
+        output=str(folder / "unused.h5"),
+        header=replace(
+            header, solver=job.solver, particle_radius=job.coarsen * header.particle_radius
+        ),
+        solver_step=job.solver_step,
+        steps_per_frame=steps,
+        frames=1,
+        threads=job.threads,
+        scene=SceneAttributes.read(group),
+        entropy=[],
+        bodies=[*map(from_description, bodies)],
+        parameters=job.parameters(),
+    )
+    described = scene_file(drawn, folder)
+    if not coarse:
+        particles = folder / "particles.bgeo"
+        write_bgeo(particles, group["position"][job.runs[0][0]].astype(float))
+        described["FluidModels"] = [{"particleFile": str(particles)}]
+    return described
+
+
+def _put(fluid: Any, position: Array, velocity: Array, moved: float) -> None:
+    """Set the state of all particles, which keep their order, with noise on the places (m)."""
+    noise = np.random.default_rng(0).normal(0.0, moved, position.shape) if moved else 0.0
+    places = (position + noise).tolist()
+    for row, (place, speed) in enumerate(zip(places, velocity.tolist(), strict=True)):
         fluid.setPosition(row, place)
         fluid.setVelocity(row, speed)
+
+
+def _peak_memory() -> float:
+    """Return the most memory that this process has used so far, MB; NaN where unknown."""
+    # Not `resource`: there a child begins with the peak of its parent.
+    try:
+        status = Path("/proc/self/status").read_text()
+    except OSError:
+        return math.nan
+    found = re.search(r"^VmHWM:\s+(\d+) kB", status, re.MULTILINE)
+    return int(found[1]) / 1024 if found else math.nan
 
 
 if __name__ == "__main__":

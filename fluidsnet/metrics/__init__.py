@@ -4,6 +4,7 @@ from fluidsnet.metrics.base import FrameMean as FrameMean
 from fluidsnet.metrics.base import RolloutMetric as RolloutMetric
 from fluidsnet.metrics.density import Density as Density
 from fluidsnet.metrics.density import DensityError as DensityError
+from fluidsnet.metrics.misplaced_volume import MisplacedVolume as MisplacedVolume
 from fluidsnet.metrics.one_step import PositionError as PositionError
 from fluidsnet.metrics.one_step import Skill as Skill
 from fluidsnet.metrics.one_step import TargetError as TargetError

@@ -27,6 +27,15 @@ from fluidsnet.particles import Particles, RolloutStarts
 #: Baselines by name. The truth is one for the metrics that have a value of it.
 BASELINES = (*Baselines.names, "truth")
 
+MetricKind = Callable[..., RolloutMetric]
+#: Metrics that need no pairs of particles of prediction and truth.
+FIELD_METRICS: tuple[MetricKind, ...] = (Chamfer, KineticEnergy, DensityError, Escaped, NonFinite)
+#: All metrics of a rollout.
+METRICS: tuple[MetricKind, ...] = (
+    *(RolloutPositionError, MSEn, RolloutVelocityMSE, Chamfer, Sinkhorn, KineticEnergy),
+    *(CenterOfMass, DensityError, Escaped, NonFinite),
+)
+
 #: Metric values by predictor and name of the metric: (S,) means after 1, 2, … S steps, but for
 #: `non_finite_step` (R,), see `NonFinite`.
 RolloutResults = dict[str, dict[str, Tensor]]
@@ -42,6 +51,7 @@ class RolloutSuite:
         costly_steps: Steps after which the costly metrics are measured, counted from 1.
         device: Device of the states.
         models: Names of the models that are rolled out.
+        kinds: Metrics to measure; by default `METRICS`.
     """
 
     def __init__(
@@ -51,15 +61,17 @@ class RolloutSuite:
         costly_steps: Collection[int],
         device: torch.device,
         models: Sequence[str] = ("model",),
+        kinds: Sequence[MetricKind] | None = None,
     ) -> None:
         self.costly_steps = frozenset(costly_steps)
         self.metrics: dict[str, list[RolloutMetric]] = {}
-        kinds: tuple[Callable[..., RolloutMetric], ...] = (
-            *(RolloutPositionError, MSEn, RolloutVelocityMSE, Chamfer, Sinkhorn, KineticEnergy),
-            *(CenterOfMass, partial(DensityError, density=Density()), Escaped, NonFinite),
-        )
+        density = Density()
+        chosen = [
+            partial(kind, density=density) if kind is DensityError else kind
+            for kind in kinds or METRICS
+        ]
         for predictor in (*models, *BASELINES):
-            metrics = [kind(simulations, steps).to(device) for kind in kinds]
+            metrics = [kind(simulations, steps).to(device) for kind in chosen]
             self.metrics[predictor] = [
                 metric for metric in metrics if metric.of_truth or predictor != "truth"
             ]

@@ -19,7 +19,7 @@ import yaml
 from fluidsnet.errors import UserError
 from fluidsnet.main import main
 from fluidsnet.reporting.results import results_folders
-from fluidsnet.studies.ablations.training import NOTE, Training
+from fluidsnet.studies.training import NOTE, Training
 
 ROOT = Path(__file__).parents[2]
 

@@ -19,9 +19,9 @@ from fluidsnet.errors import UserError
 from fluidsnet.progress import Progress
 from fluidsnet.studies.ablations.report import write_report
 from fluidsnet.studies.ablations.results import TrainedRun
-from fluidsnet.studies.ablations.training import STAGES, Training
 from fluidsnet.studies.machine import cores
 from fluidsnet.studies.parser import study_parser
+from fluidsnet.studies.training import STAGES, Training
 
 #: Configs in the order of composition; the scene's data config comes between the two.
 _BEFORE_DATA = ("trainer.yaml", "model/paper.yaml")

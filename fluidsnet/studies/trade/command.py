@@ -3,43 +3,62 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import datetime
 from hashlib import sha256
 from pathlib import Path
+
+from jinja2 import Environment, PackageLoader
 
 from datamodules.generate.solver import load_solver
 from datamodules.reader import FrameReader
 from fluidsnet.baselines import TRIVIAL_PREDICTORS
 from fluidsnet.errors import UserError
 from fluidsnet.progress import Progress
-from fluidsnet.studies.machine import BUSY, OtherLoad, cpu_model, versions
+from fluidsnet.studies.machine import BUSY, cpu_model, versions
 from fluidsnet.studies.parser import study_parser
-from fluidsnet.studies.trade.figure import draw
-from fluidsnet.studies.trade.measure import Measured, measure
-from fluidsnet.studies.trade.options import TradeOptions
-from fluidsnet.studies.trade.points import ModelSteps, Point, Solver, Trivial, check_drawn
-from fluidsnet.studies.trade.report import NEAR, Results, write_report
+from fluidsnet.studies.trade.engine import Cluster, Engine, InTurn, Task
+from fluidsnet.studies.trade.figure import draw, hoverable
+from fluidsnet.studies.trade.measure import Measured
+from fluidsnet.studies.trade.options import ModelPoint, TradeOptions
+from fluidsnet.studies.trade.points import (
+    ModelSteps,
+    Point,
+    Solver,
+    Trivial,
+    check_drawn,
+    floors,
+)
+from fluidsnet.studies.trade.recommend import measured_from, recommend_command
+from fluidsnet.studies.trade.report import EXPLANATION, write_report
+from fluidsnet.studies.trade.rows import Row
+from fluidsnet.studies.training import Training
 
 #: Options that change what is measured of a point.
-_MEASURE = ("simulations", "every", "horizon", "steps", "marks")
+_MEASURE = ("every", "horizon", "steps", "marks")
 
 
 def trade_command(arguments: list[str]) -> None:
-    """Run the study and print its table.
+    """Run the study and print its table; or recommend a point of a finished study.
 
     Raises:
         UserError: An option cannot be used, or the solver is needed and not installed.
     """
+    if arguments[:1] == ["recommend"]:
+        recommend_command(arguments[1:])
+        return
     parser = study_parser(
         "trade",
         "Measure error and cost of models, of priors, and of SPlisHSPlasH with steps and "
         "tolerances of your choice, from the same true states and along the same rollouts. "
         "Points that are finished are kept in the output folder. Run nothing else meanwhile. "
+        "`fluidsnet trade recommend --help` tells how to ask a finished study. "
         "A first try: fluidsnet trade --data data/box_drops/test.h5 --models "
-        '"[{model: configs/model/prior.yaml}]" --simulations 1',
+        '"[{model: box_drops}]" --quick true',
         TradeOptions,
     )
     parsed = vars(parser.instantiate(parser.parse_args(arguments)))
@@ -47,11 +66,11 @@ def trade_command(arguments: list[str]) -> None:
     study = Study(TradeOptions(**parsed))
     study.run()
     print((study.folder / "trade.md").read_text(encoding="utf-8"))
-    print(f"Written to {study.folder}: trade.md, trade.csv and trade.png.")
+    print(f"Written to {study.folder}: trade.html, trade.md, trade.csv and trade.png.")
 
 
 class Study:
-    """All points, one after the other; the tables are written after each.
+    """All points in all simulations; the tables are written when the points of one are done.
 
     Args:
         options: What to measure.
@@ -62,6 +81,7 @@ class Study:
     """
 
     def __init__(self, options: TradeOptions) -> None:
+        options = options.reduced()
         self.options, self.folder = options, Path(options.output)
         self._reader = FrameReader(Path(options.data))
         self._simulations = list(self._reader.frames)[: options.simulations]
@@ -70,106 +90,183 @@ class Study:
             load_solver()
             for simulation in self._simulations:
                 check_drawn(self._reader.path, simulation)
+            if options.floor:
+                self.points += floors(self._reader.path, options.threads)
         self.points += [
             Solver(point, self._reader.path, options.threads) for point in options.solvers
         ]
-        self.points += [
-            ModelSteps(point, self._reader, options.threads) for point in options.models
-        ]
-        for point in self.points:
-            if point.stride > options.horizon:
-                raise UserError(
-                    f"--horizon is {options.horizon}, and {point.label} steps {point.stride} "
-                    f"frames at once; set --horizon {point.stride} or more."
-                )
-        self.results: dict[str, Results] = {}
-        labels = [point.label for point in self.points]
-        if len(set(labels)) < len(labels):
+        self._training = {it.label: math.nan for it in options.trainings}
+        named = [point.label for point in self.points]
+        named += [it.name for it in options.models] + [it.label for it in options.trainings]
+        if len(set(named)) < len(named):
             raise UserError("Two points have the same label; give one another `label`.")
+        self._add_models(options.models)
+        self.results: dict[str, dict[str, Measured]] = {}
+        self.failed: dict[str, dict[str, str]] = {}
 
     def run(self) -> None:
-        """Measure the points that are not finished yet; write the tables after each."""
-        count = len(self.points) * len(self._simulations)
-        with Progress(total=count, unit="simulation") as bar:
+        """Train the networks and measure the points that are not finished yet."""
+        self._train()
+        options, results = self.options, self.results
+        for point in self.points:
+            results[point.label], self.failed[point.label] = {}, {}
+        tasks = []
+        # Points in turn within a simulation, so that a slow minute does not fall on one of them.
+        for simulation in self._simulations:
             for point in self.points:
-                bar.set_description(point.label)
-                self.results[point.label] = self._measured(point, bar)
-                self.write()
+                task = Task(point, options.data, simulation, options)
+                stored = self._stored(task)
+                if stored is None:
+                    tasks.append(task)
+                else:
+                    results[point.label][simulation] = stored
+        with Progress(total=len(tasks), unit="point") as bar:
+
+            def advance(task: Task) -> None:
+                bar.set_description(task.point.label, refresh=False)
+                bar.refresh()
+
+            for task, outcome in self._engine().run(tasks, advance):
+                label, simulation = task.point.label, task.simulation
+                if isinstance(outcome, str):
+                    self.failed[label][simulation] = outcome
+                    bar.write(f"WARNING: {label} failed in {simulation}: {outcome}", sys.stderr)
+                else:
+                    results[label][simulation] = outcome
+                    self._store(task, outcome)
+                    if outcome.others > BUSY and task.point.kind != "trivial":
+                        bar.write(
+                            f"WARNING: others took {outcome.others:.1f} cores during {label}.",
+                            sys.stderr,
+                        )
+                bar.update()
+                if task.point is self.points[-1]:
+                    self.write()
+        self.write()
+
+    def rows(self) -> list[Row]:
+        """Return the points with what was measured so far."""
+        return [
+            Row(
+                label=point.label,
+                kind=point.kind,
+                advice=point.advice,
+                interval=self._reader.header.dt,
+                measured=self.results[point.label],
+                failed=self.failed[point.label],
+                training=self._training.get(
+                    point.label, math.nan if point.kind == "network" else 0.0
+                ),
+            )
+            for point in self.points
+        ]
 
     def write(self) -> None:
-        """Write tables and figure."""
-        options, header = self.options, self._reader.header
+        """Write tables, figure and page."""
+        options, header, rows = self.options, self._reader.header, self.rows()
+        fluid = [it.fluid for row in rows for it in row.measured.values()]
+        step = 1000 * header.solver_parameters.get("timeStepSize", 0)
         notes = [
             f"{datetime.now():%Y-%m-%d}, {cpu_model()}, {options.threads} threads; {versions()}",
-            f"{options.data}, {len(self._simulations)} simulations, {self._particles()} fluid "
-            f"particles on average, a frame each {1000 * header.dt:g} ms; truth: {header.solver} "
-            f"with steps of {1000 * header.solver_parameters.get('timeStepSize', 0):g} ms",
+            f"{options.data}, {len(self._simulations)} simulations, "
+            f"{sum(fluid) / max(len(fluid), 1):,.0f} fluid particles on average, a frame each "
+            f"{1000 * header.dt:g} ms; truth: {header.solver} with steps of {step:g} ms",
         ]
-        # The fewest frames after which all points have a state.
-        strides = {point.stride for point in self.points}
-        shared = [frame for frame in NEAR if all(frame % stride == 0 for stride in strides)]
-        kinds = {point.label: point.kind for point in self.points}
-        draw(
-            self.folder / "trade.png",
-            kinds,
-            self.results,
-            min(shared, default=options.horizon),
-            max(options.marks),
+        table, told = write_report(self.folder, notes, options, rows)
+        figure = draw(options, rows)
+        if figure is None:
+            return
+        figure.savefig(self.folder / "trade.png", dpi=120)
+        heading, _, *lines = (
+            [cell.strip() for cell in line.strip("| ").split(" | ")] for line in table.splitlines()
         )
-        write_report(self.folder, notes, options, self.results)
+        environment = Environment(loader=PackageLoader(__package__, "."), autoescape=True)
+        page = environment.get_template("page.html").render(
+            notes=notes,
+            sentences=told,
+            figure=hoverable(figure, rows),
+            header=heading,
+            cells=lines,
+            failures=[
+                f"{row.label} in {simulation}: {reason}"
+                for row in rows
+                for simulation, reason in row.failed.items()
+            ],
+            explanation=EXPLANATION,
+        )
+        (self.folder / "trade.html").write_text(page, encoding="utf-8")
 
-    def _particles(self) -> str:
-        counts = [it.fluid for measured in self.results.values() for it in measured.values()]
-        return f"{sum(counts) / max(len(counts), 1):,.0f}"
-
-    def _measured(self, point: Point, bar: Progress) -> Results:
-        """Return the results of a point, from its file if it is finished."""
-        path = self.folder / "points" / f"{self._key(point)}.json"
-        if path.exists():
-            bar.update(len(self._simulations))
-            stored = json.loads(path.read_text())["results"]
-            return {name: _from_json(values) for name, values in stored.items()}
-        results: Results = {}
-        with OtherLoad() as load:
-            for simulation in self._simulations:
-                results[simulation] = measure(
-                    point, self._reader, simulation, self.options, _refresh(bar)
+    def _add_models(self, models: Sequence[ModelPoint]) -> None:
+        for model in models:
+            point = ModelSteps(model, self._reader, self.options.threads)
+            if point.stride > self.options.horizon:
+                raise UserError(
+                    f"--horizon is {self.options.horizon}, and {point.label} steps {point.stride} "
+                    f"frames at once; set --horizon {point.stride} or more."
                 )
-                bar.update()
-        if load.cores > BUSY:
-            bar.write(
-                f"WARNING: others took {load.cores:.1f} cores during {point.label}.",
-                file=sys.stderr,
-            )
+            self.points.append(point)
+
+    def _train(self) -> None:
+        """Train the networks that are not trained yet, and add them as points."""
+        options = self.options
+        trained = []
+        for it in options.trainings:
+            folder, steps = self.folder / "models" / it.label, options.budget
+            note = folder.with_name("seconds.json")
+            limits = {
+                "max_epochs": -1,
+                "max_steps": steps,
+                "val_check_interval": max(steps // 4, 1),
+                "check_val_every_n_epoch": "null",
+            }
+            given = [f"--trainer.{name}={value}" for name, value in limits.items()]
+            configs = [*map(Path, it.configs)]
+            training = Training(folder, configs, [*given, *it.options], options.threads)
+            seconds = json.loads(note.read_text()) if note.exists() else {}
+            if it.label not in seconds:
+                print(f"training {it.label}, {steps} batches (log: {folder}/fit.log)", flush=True)
+                began = time.perf_counter()
+                training.run("fit")
+                seconds[it.label] = time.perf_counter() - began
+                note.write_text(json.dumps(seconds))
+            self._training[it.label] = seconds[it.label]
+            trained.append(ModelPoint(str(folder), label=it.label))
+        self._add_models(trained)
+
+    def _engine(self) -> Engine:
+        options = self.options
+        if options.scheduler or options.workers > 1:
+            return Cluster(options.scheduler, options.workers)
+        return InTurn()
+
+    def _stored(self, task: Task) -> Measured | None:
+        """Return the results of a task that is finished."""
+        path = self._path(task)
+        if not path.exists():
+            return None
+        return measured_from(json.loads(path.read_text())["results"])
+
+    def _store(self, task: Task, measured: Measured) -> None:
+        path = self._path(task)
         path.parent.mkdir(parents=True, exist_ok=True)
-        stored = {"label": point.label, "settings": point.settings}
-        stored["results"] = {name: asdict(values) for name, values in results.items()}
+        stored = {
+            "label": task.point.label,
+            "simulation": task.simulation,
+            "settings": task.point.settings,
+            "results": asdict(measured),
+        }
         partial = path.with_suffix(".tmp")
         partial.write_text(json.dumps(stored, indent=1))
         partial.replace(path)
-        return results
 
-    def _key(self, point: Point) -> str:
-        """Return a name for the results of a point, which changes with what they depend on."""
+    def _path(self, task: Task) -> Path:
+        """Return the file of a task's results, whose name changes with what they depend on."""
         status = self._reader.path.stat()
         depends = {
-            "point": point.settings,
+            "point": task.point.settings,
             "measure": {name: getattr(self.options, name) for name in _MEASURE},
             "data": [str(self._reader.path.resolve()), status.st_size, status.st_mtime],
+            "simulation": task.simulation,
         }
-        return sha256(json.dumps(depends, sort_keys=True).encode()).hexdigest()[:16]
-
-
-def _refresh(bar: Progress) -> Callable[[], None]:
-    def advance() -> None:
-        bar.refresh()
-
-    return advance
-
-
-def _from_json(values: dict[str, object]) -> Measured:
-    """Return results that were stored as JSON, whose keys are text."""
-    measured = Measured(**values)  # type: ignore[arg-type]
-    for result, by_frames in measured.values.items():
-        measured.values[result] = {int(frames): value for frames, value in by_frames.items()}
-    return measured
+        key = sha256(json.dumps(depends, sort_keys=True).encode()).hexdigest()[:16]
+        return self.folder / "points" / f"{key}.json"

@@ -1,72 +1,121 @@
-"""Figure of the trade study: error against cost."""
+"""Figure of the trade study: error against cost, as a picture and for a page."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from pathlib import Path
-from statistics import fmean
+import re
+from collections.abc import Sequence
+from html import escape
+from io import StringIO
 from typing import Any
 
+from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from fluidsnet.studies.trade.measure import Measured
+from fluidsnet.studies.trade.fronts import pareto
+from fluidsnet.studies.trade.options import TradeOptions
+from fluidsnet.studies.trade.rows import Row, floor
 
 #: Color and marker of each kind of point.
 _LOOKS = {"solver": ("black", "s"), "prior alone": ("C0", "o"), "network": ("C3", "^")}
-_POINT: dict[str, Any] = {"markersize": 5, "capsize": 2, "linewidth": 1}
+_POINT: dict[str, Any] = {"markersize": 5, "linewidth": 1}
 _NUMBER: dict[str, Any] = {"textcoords": "offset points", "fontsize": 8}
+#: Prefix of the names of drawn points in the SVG.
+_NAME = "point-"
 
 
-def draw(
-    path: Path,
-    kinds: Mapping[str, str],
-    results: Mapping[str, Mapping[str, Measured]],
-    frames: int,
-    mark: int,
-) -> None:
-    """Draw the errors from true states and of rollouts against CPU time.
+def draw(options: TradeOptions, rows: Sequence[Row]) -> Figure | None:
+    """Draw the errors from true states and of rollouts against CPU time, with the fronts.
 
     Args:
-        path: File to write.
-        kinds: Kind of each point by its label; others than those of the legend are left out.
-        results: Results by label and simulation.
-        frames: Frames after which errors from true states are drawn.
-        mark: Frames after which those of rollouts are drawn.
+        options: What was measured.
+        rows: Points; trivial predictors are left out, and the floor of chaos is a line.
+
+    Returns:
+        The figure; None if there is no point to draw.
     """
-    shown = {label: list(it.values()) for label, it in results.items() if kinds[label] in _LOOKS}
+    shown = [row for row in rows if row.kind in _LOOKS and row.measured]
     if not shown:
-        return
-    figure = Figure(figsize=(12.0, 5.0), layout="constrained")
-    left, right, names = figure.subplots(1, 3, width_ratios=(4, 4, 2))
+        return None
+    marks = sorted(options.marks)
     panels = (
-        (left, "error_mm", frames, 1.0, f"error {frames} frames from true states, mm"),
-        (right, "rollout_mm", mark, 1e-3, f"error of a rollout after {mark} frames, m"),
+        ("error_mm", _shared(shown, options.horizon), 1.0, "error {} ms from true states, mm"),
+        ("rollout_mm", marks[len(marks) // 2], 1.0, "error {} ms from the start, mm"),
+        ("misplaced", marks[-1], 100.0, "volume elsewhere {} ms from the start, %"),
     )
-    for number, (label, measured) in enumerate(shown.items(), start=1):
-        color, marker = _LOOKS[kinds[label]]
-        cost = 1000 * fmean(it.cpu for it in measured)
-        for axes, result, after, factor, _ in panels:
-            errors = [factor * it.values[result].get(after, math.nan) for it in measured]
-            if not all(map(math.isfinite, errors)):
-                continue
-            mean = fmean(errors)
-            spread = [[mean - min(errors)], [max(errors) - mean]]
-            axes.errorbar([cost], [mean], yerr=spread, color=color, marker=marker, **_POINT)
-            axes.annotate(str(number), (cost, mean), (5, 3), color=color, **_NUMBER)
-        place = (0.0, 1.0 - number / (len(shown) + 1))
-        names.annotate(f"{number}  {label}", place, color=color, fontsize=8)
+    figure = Figure(figsize=(16.0, 5.0), layout="constrained")
+    *axes, names = figure.subplots(1, len(panels) + 1, width_ratios=(4, 4, 4, 3))
+    interval = shown[0].interval
+    for place, (result, frames, factor, title) in zip(axes, panels, strict=True):
+        _panel(place, shown, result, frames, factor)
+        place.set_ylabel(title.format(f"{1000 * frames * interval:g}"))
+        chaos = factor * floor(rows, result, frames)
+        if math.isfinite(chaos) and chaos > 0:
+            place.axhline(chaos, color="gray", linestyle=":", linewidth=1)
+    for number, row in enumerate(shown, start=1):
+        where = (0.0, 1.0 - number / (len(shown) + 1))
+        names.annotate(f"{number}  {row.label}", where, color=_LOOKS[row.kind][0], fontsize=8)
     names.set_axis_off()
-    for axes, _, _, _, title in panels:
-        axes.set(xscale="log", yscale="log", xlabel="CPU ms a frame", ylabel=title)
-        for axis in (axes.xaxis, axes.yaxis):
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axis.set_major_formatter("{x:g}")
-            axis.set_minor_formatter(NullFormatter())
-        axes.grid(which="both", alpha=0.25)
-    present = {kind: look for kind, look in _LOOKS.items() if kind in map(kinds.get, shown)}
-    handles = [Line2D([], [], color=color, marker=it, ls="") for color, it in present.values()]
-    left.legend(handles, present, fontsize="small")
-    figure.savefig(path, dpi=120)
+    kinds = [kind for kind in _LOOKS if kind in {row.kind for row in shown}]
+    handles = [
+        Line2D([], [], color=_LOOKS[kind][0], marker=_LOOKS[kind][1], linewidth=0.7)
+        for kind in kinds
+    ]
+    labels = [*kinds]
+    if any(row.kind == "floor" for row in rows):
+        handles.append(Line2D([], [], color="gray", linestyle=":"))
+        labels.append("floor of chaos")
+    axes[0].legend(handles, labels, fontsize="small")
+    return figure
+
+
+def hoverable(figure: Figure, rows: Sequence[Row]) -> str:
+    """Return a figure of `draw` as SVG whose points tell their name and numbers."""
+    text = StringIO()
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "fluidsnet"}):
+        figure.savefig(text, format="svg", metadata={"Date": None})
+    shown = [row for row in rows if row.kind in _LOOKS and row.measured]
+    titles = [
+        f"<title>{escape(f'{row.label}: {row.cpu:.3g} CPU s and {row.wall:.3g} s for a second')}"
+        "</title>"
+        for row in shown
+    ]
+    svg = text.getvalue()
+    svg = re.sub(rf'(<g id="{_NAME}(\d+)-\w+">)', lambda it: it[1] + titles[int(it[2])], svg)
+    return svg[svg.index("<svg") :]
+
+
+def _panel(axes: Axes, shown: Sequence[Row], result: str, frames: int, factor: float) -> None:
+    planes: dict[str, dict[str, tuple[float, float]]] = {}
+    for number, row in enumerate(shown):
+        color, marker = _LOOKS[row.kind]
+        cost, error = row.cpu, factor * row.mean(result, frames)
+        if not math.isfinite(error):
+            continue
+        values = [factor * value for value in row.values(result, frames)]
+        planes.setdefault(row.kind, {})[row.label] = (cost, error)
+        axes.plot([cost, cost], [min(values), max(values)], color=color, linewidth=1)
+        (drawn,) = axes.plot([cost], [error], color=color, marker=marker, **_POINT)
+        drawn.set_gid(f"{_NAME}{number}-{result}")
+        axes.annotate(str(number + 1), (cost, error), (5, 3), color=color, **_NUMBER)
+    for kind, plane in planes.items():
+        front = [plane[label] for label in pareto(plane)]
+        axes.plot(*zip(*front, strict=True), color=_LOOKS[kind][0], linewidth=0.7, zorder=1)
+    axes.set(xscale="log", yscale="log", xlabel="CPU s for a second of fluid")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
+    axes.grid(which="both", alpha=0.25)
+
+
+def _shared(rows: Sequence[Row], horizon: int) -> int:
+    """Return the frames, up to the horizon, after which most points have a state, or fewest."""
+    counts = {
+        frames: sum(bool(row.values("error_mm", frames)) for row in rows)
+        for frames in range(1, horizon + 1)
+    }
+    return max(counts, key=lambda frames: (counts[frames], -frames))

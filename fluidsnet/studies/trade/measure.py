@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import fmean
@@ -11,14 +12,16 @@ import torch
 
 from datamodules.reader import FrameReader
 from fluidsnet.baselines import TRIVIAL_PREDICTORS
-from fluidsnet.metrics.suite import RolloutSuite
+from fluidsnet.metrics.misplaced_volume import MisplacedVolume
+from fluidsnet.metrics.suite import FIELD_METRICS, METRICS, RolloutSuite
 from fluidsnet.particles import Particles
 from fluidsnet.studies.trade.options import TradeOptions
-from fluidsnet.studies.trade.points import Point, Runs
+from fluidsnet.studies.trade.points import Cost, Point, Runs
 
 #: What is measured of a rollout after some frames: name of the metric, and of the result.
 _ROLLOUT = {
     "position_error_mm": "rollout_mm",
+    "misplaced_volume": "misplaced",
     "chamfer_mm": "chamfer_mm",
     "kinetic_energy": "energy_error",
     "density_error": "density_error",
@@ -33,17 +36,24 @@ class Measured:
     """Results of one simulation.
 
     Attributes:
-        fluid: Number of fluid particles.
-        wall: Mean wall time for a frame, from true states, s.
+        fluid: Number of fluid particles of the truth.
+        wall: Mean wall time for a frame, s; from true states, or along the rollout of a point
+            that has no others.
         cpu: Mean time of all cores for it, s.
+        setup: Wall time before the first step, s.
+        memory: Most memory in use beyond that before the set-up, MB.
         values: Values by result and number of frames; NaN after frames that a point has no state
             for.
+        others: Cores that other processes kept busy meanwhile.
     """
 
     fluid: int
     wall: float
     cpu: float
+    setup: float
+    memory: float
     values: dict[str, dict[int, float]]
+    others: float = 0.0
 
 
 @torch.no_grad()
@@ -67,15 +77,16 @@ def measure(
     horizon, steps = min(options.horizon, known), min(options.steps, known)
     short: Runs = [(first, horizon) for first in range(1, known - horizon + 1, options.every)]
     runs: Runs = [*(short or [(0, horizon)]), (0, steps)]
-    device = torch.device("cpu")
-    near = RolloutSuite([0] * (len(runs) - 1), horizon, (), device)
-    far = RolloutSuite([0], steps, options.marks, device)
+    last = len(runs) - 1
+    device, kinds = torch.device("cpu"), METRICS if point.paired else FIELD_METRICS
+    near = RolloutSuite([0] * last, horizon, (), device)
+    far = RolloutSuite([0], steps, options.marks, device, kinds=(*kinds, MisplacedVolume))
     starts = [reader.state(simulation, first, 1) for first, _ in runs]
 
     def add(run: int, frame: int, state: Particles) -> None:
         start = starts[run]
         true = reader.state(simulation, runs[run][0] + frame, 1)
-        if run == len(runs) - 1:
+        if run == last:
             far.update(0, frame, {"model": state}, true, start)
         else:
             trivial = {name: it(start, frame) for name, it in TRIVIAL_PREDICTORS.items()}
@@ -85,31 +96,45 @@ def measure(
         (run, frame)
         for run, (_, frames) in enumerate(runs)
         for frame in range(point.stride, frames + 1, point.stride)
+        if point.paired or run == last
     }
-    walls, cpus = [], []
+    costs: list[Cost] = []
     for made in point.continued(reader, simulation, runs, advance):
         missing.discard((made.run, made.frame))
         add(made.run, made.frame, made.state)
-        if made.run < len(runs) - 1:
-            walls.append(made.wall)
-            cpus.append(made.cpu)
+        if made.run < last or not point.paired:
+            costs.append(made.cost)
     for run, frame in sorted(missing):
         # The solver ended: its errors are infinite from there on.
         lost = torch.full_like(starts[run].position, torch.nan)
         add(run, frame, starts[run].moved(lost, lost))
-    errors, rolled = near.compute(), far.compute()["model"]
+    rolled = far.compute()["model"]
+    values = _near(near, horizon) if point.paired else {}
+    marks = [mark for mark in options.marks if mark <= steps]
+    values |= {
+        result: {mark: float(rolled[metric][mark - 1]) for mark in marks}
+        for metric, result in _ROLLOUT.items()
+        if metric in rolled
+    }
+    return Measured(
+        fluid=len(starts[0]),
+        wall=fmean(cost.wall for cost in costs),
+        cpu=fmean(cost.cpu for cost in costs),
+        setup=costs[0].setup,
+        memory=max((cost.memory for cost in costs), default=math.nan),
+        values=values,
+    )
+
+
+def _near(suite: RolloutSuite, horizon: int) -> dict[str, dict[int, float]]:
+    """Return the errors from true states after each frame."""
+    errors = suite.compute()
     frames = range(1, horizon + 1)
-    values = {
-        "error_mm": _after(frames, errors["model"]["position_error_mm"]),
+    distance = errors["model"]["position_error_mm"]
+    return {
+        "error_mm": {frame: float(distance[frame - 1]) for frame in frames},
         "skill": {frame: _skill(errors, frame) for frame in frames},
     }
-    marks = [mark for mark in options.marks if mark <= steps]
-    values |= {result: _after(marks, rolled[metric]) for metric, result in _ROLLOUT.items()}
-    return Measured(len(starts[0]), fmean(walls), fmean(cpus), values)
-
-
-def _after(frames: list[int] | range, values: torch.Tensor) -> dict[int, float]:
-    return {frame: float(values[frame - 1]) for frame in frames}
 
 
 def _skill(errors: dict[str, dict[str, torch.Tensor]], frame: int) -> float:

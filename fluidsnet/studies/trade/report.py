@@ -2,91 +2,147 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
-from statistics import fmean
 
 from fluidsnet.reporting.table import Cell, markdown, write_csv
-from fluidsnet.studies.trade.measure import Measured
+from fluidsnet.studies.trade.fronts import sentences
 from fluidsnet.studies.trade.options import TradeOptions
+from fluidsnet.studies.trade.rows import Row, floor, planes
 
+#: File with the rows, for `fluidsnet trade recommend`.
+ROWS = "trade.json"
 #: Frames after which errors from true states are printed.
 NEAR = (1, 2, 4, 8)
 #: Header, result and factor of what is printed of a rollout at its last mark.
 _FAR = (
+    ("misplaced %", "misplaced", 100.0),
     ("chamfer mm", "chamfer_mm", 1.0),
     ("energy %", "energy_error", 100.0),
+    ("density %", "density_error", 100.0),
     ("escaped %", "escaped", 100.0),
     ("non-finite %", "non_finite", 100.0),
 )
 
-#: Results of a point by simulation.
-Results = dict[str, Measured]
+EXPLANATION = (
+    "CPU and wall time are for a second of fluid, from true states: means over the frames of a "
+    "simulation, medians over simulations; set-up and training are apart. Memory is the most "
+    "beyond that before the set-up. Errors and skill (of velocities; 1 is perfect, 0 as good as "
+    "the better trivial predictor) are after that many frames from true states; rollouts start at "
+    "the first frame. The share of the volume that is misplaced, the chamfer distance, the error "
+    "of the kinetic energy over all frames so far, the excess density, and the shares of "
+    "particles outside the walls or not finite are those of the last mark of a rollout. Means "
+    "over the simulations, with the least and the greatest behind the first error and the last "
+    "rollout. The floor is the solver of the data itself, with a start that is moved by a "
+    "thousandth of a radius, or with half its step: an error below it means nothing. A time with "
+    "a star was measured while other processes took part of a core."
+)
 
 
 def write_report(
-    folder: Path, notes: Sequence[str], options: TradeOptions, results: dict[str, Results]
-) -> None:
-    """Write trade.md and trade.csv.
+    folder: Path, notes: Sequence[str], options: TradeOptions, rows: Sequence[Row]
+) -> tuple[str, list[str]]:
+    """Write trade.md, trade.csv and trade.json.
 
     Args:
         folder: Folder of the study.
         notes: Lines above the table.
         options: What was measured.
-        results: Results by the label of a point.
+        rows: Points with their results.
+
+    Returns:
+        The table in Markdown, and the sentences on what speed costs.
     """
-    rows: list[list[Cell]] = [
-        [label, simulation, it.fluid, result, frames, value]
-        for label, measured in results.items()
-        for simulation, it in measured.items()
-        for result, values in {**it.values, "wall_s": {1: it.wall}, "cpu_s": {1: it.cpu}}.items()
-        for frames, value in values.items()
-    ]
-    header = ("point", "simulation", "fluid particles", "result", "frames", "value")
-    write_csv(folder / "trade.csv", header, rows)
+    _write_values(folder / "trade.csv", rows)
+    values = [asdict(row) for row in rows]
+    (folder / ROWS).write_text(json.dumps({"rows": values, "marks": options.marks}, indent=1))
     near = [frame for frame in NEAR if frame <= options.horizon]
     marks = sorted(options.marks)
-    table = markdown(
-        (
-            *("point", "wall ms", "CPU ms"),
-            *(f"error {frame} mm" for frame in near),
-            *(f"skill {frame}" for frame in near[:2]),
-            *(f"rollout {mark} m" for mark in marks),
-            *(title for title, _, _ in _FAR),
-        ),
-        [_row(label, list(it.values()), near, marks) for label, it in results.items()],
+    header = (
+        *("point", "CPU s/s", "wall s/s", "set-up s", "training s", "MB"),
+        *(f"error {frame} mm" for frame in near),
+        *(f"skill {frame}" for frame in near[:2]),
+        *(f"rollout {mark} m" for mark in marks),
+        *(title for title, _, _ in _FAR),
     )
-    text = "\n\n".join(["# Error against cost", *notes, _EXPLANATION, table])
-    (folder / "trade.md").write_text(text, encoding="utf-8")
+    table = markdown(header, [_cells(row, near, marks) for row in rows])
+    failures = [
+        f"- {row.label} failed in {simulation}: {reason}"
+        for row in rows
+        for simulation, reason in row.failed.items()
+    ]
+    told = answers(options, rows)
+    blocks = ["# Error against cost", *notes, *told, table, EXPLANATION]
+    if failures:
+        blocks += ["## Failed", "\n".join(failures)]
+    (folder / "trade.md").write_text("\n\n".join(blocks) + "\n", encoding="utf-8")
+    return table, told
 
 
-_EXPLANATION = (
-    "Times are means for the interval of a frame, from true states. Errors and skill (of "
-    "velocities; 1 is perfect, 0 as good as the better trivial predictor) are after that many "
-    "frames from true states; rollouts start at the first frame. The chamfer distance, the error "
-    "of the kinetic energy over all frames so far, and the shares of particles outside the walls "
-    "or not finite are those of the last mark of a rollout. Means over the simulations, with the "
-    "least and the greatest behind the first error and the last rollout."
-)
+def answers(options: TradeOptions, rows: Sequence[Row]) -> list[str]:
+    """Return the sentences on what speed costs, from true states and at each mark above chaos."""
+    interval = rows[0].interval if rows else 0.0
+    told = sentences(
+        planes(rows, "error_mm", options.horizon),
+        f"after {options.horizon} frames from true states",
+    )
+    for mark in sorted(options.marks):
+        after = f"after {mark * interval:g} s of a rollout"
+        points, chaos = planes(rows, "rollout_mm", mark), floor(rows, "rollout_mm", mark)
+        errors = [error for plane in points.values() for _, error in plane.values()]
+        least = min(filter(math.isfinite, errors), default=math.nan)
+        if least < 1.5 * chaos:
+            told.append(
+                f"{after.capitalize()}, the least error of a point, {least:.3g} mm, is not above "
+                f"the floor of chaos, {chaos:.3g} mm, by half: points near it cannot be told apart."
+            )
+        told += sentences(points, after)
+    return told
 
 
-def _row(label: str, measured: list[Measured], near: list[int], marks: list[int]) -> list[Cell]:
-    cells: list[Cell] = [label]
-    cells += [1000 * fmean(getattr(it, name) for it in measured) for name in ("wall", "cpu")]
-    cells += [_mean(measured, "error_mm", frame, spread=frame == near[0]) for frame in near]
-    cells += [_mean(measured, "skill", frame) for frame in near[:2]]
-    cells += [_mean(measured, "rollout_mm", mark, 1e-3, spread=mark == marks[-1]) for mark in marks]
-    return cells + [_mean(measured, result, marks[-1], factor) for _, result, factor in _FAR]
+def _write_values(path: Path, rows: Sequence[Row]) -> None:
+    cells: list[list[Cell]] = []
+    for row in rows:
+        for simulation, it in row.measured.items():
+            costs = {
+                "wall_s": it.wall,
+                "cpu_s": it.cpu,
+                "setup_s": it.setup,
+                "memory_mb": it.memory,
+            }
+            values = {**it.values, **{name: {1: value} for name, value in costs.items()}}
+            cells += [
+                [row.label, row.kind, simulation, it.fluid, result, frames, value]
+                for result, by_frames in values.items()
+                for frames, value in by_frames.items()
+            ]
+        for simulation, reason in row.failed.items():
+            cells.append([row.label, row.kind, simulation, "", "failed", "", reason])
+    header = ("point", "kind", "simulation", "fluid particles", "result", "frames", "value")
+    write_csv(path, header, cells)
 
 
-def _mean(
-    measured: list[Measured], result: str, frames: int, factor: float = 1.0, spread: bool = False
-) -> Cell:
+def _cells(row: Row, near: list[int], marks: list[int]) -> list[Cell]:
+    if not row.measured:
+        count = 5 + len(near) + len(near[:2]) + len(marks) + len(_FAR)
+        return [f"{row.label} (failed)", *[""] * count]
+    star = "*" if row.spoiled else ""
+    training: Cell = "" if math.isnan(row.training) else row.training
+    cells: list[Cell] = [row.label, f"{row.cpu:.3g}{star}", f"{row.wall:.3g}{star}"]
+    cells += [row.setup, training, "" if math.isnan(row.memory) else row.memory]
+    cells += [_mean(row, "error_mm", frame, spread=frame == near[0]) for frame in near]
+    cells += [_mean(row, "skill", frame) for frame in near[:2]]
+    cells += [_mean(row, "rollout_mm", mark, 1e-3, spread=mark == marks[-1]) for mark in marks]
+    return cells + [_mean(row, result, marks[-1], factor) for _, result, factor in _FAR]
+
+
+def _mean(row: Row, result: str, frames: int, factor: float = 1.0, spread: bool = False) -> Cell:
     """Return the mean over simulations; empty where none has a value."""
-    values = [factor * it.values[result].get(frames, math.nan) for it in measured]
-    values = [value for value in values if not math.isnan(value)]
+    values = [factor * value for value in row.values(result, frames)]
     if not values:
         return ""
-    mean = fmean(values)
+    mean = factor * row.mean(result, frames)
     return f"{mean:.3g} ({min(values):.2g}-{max(values):.2g})" if spread else mean

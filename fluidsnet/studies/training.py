@@ -133,8 +133,8 @@ class Training:
         config = yaml.safe_load((self.folder / "config.yaml").read_text())
         # -1 where --trainer.max_epochs ends the training.
         steps: int = config["trainer"]["max_steps"]
-        # The child wrote the file, so it is safe to unpickle; mapped, the weights are not read.
-        saved = torch.load(self._checkpoint, mmap=True, weights_only=False)["global_step"]
+        # Mapped, so that the weights are not read.
+        saved = torch.load(self._checkpoint, mmap=True, weights_only=True)["global_step"]
         if saved < steps:
             raise UserError(
                 f"{start} the weights of step {saved} of {steps}: {cause} --trainer.max_steps must "
