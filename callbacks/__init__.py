@@ -17,4 +17,5 @@ from callbacks.rollout_picture import RolloutPicture as RolloutPicture
 from callbacks.rollout_progress import RolloutProgress as RolloutProgress
 from callbacks.solid_writer import SolidWriter as SolidWriter
 from callbacks.speed_monitor import SpeedMonitor as SpeedMonitor
+from callbacks.stress_cases import StressCases as StressCases
 from callbacks.trajectory_writer import TrajectoryWriter as TrajectoryWriter

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from fluidsnet.errors import UserError
 from fluidsnet.metrics.density import Density
+from fluidsnet.metrics.energy import kinetic_energy, potential_energy
 from fluidsnet.metrics.positions import escaped
 from fluidsnet.particles import Particles, RolloutStart
 from fluidsnet.reporting.results import results_folder
@@ -79,23 +80,20 @@ class EnergyRecord(Callback, RolloutObserver):
             self._draw()
 
     def _add(self, start: RolloutStart, step: int, state: Particles) -> None:
-        scene, velocity = state.scene, state.velocity.double()
-        gravity = scene.gravity.double()
-        lowest = torch.where(gravity < 0, scene.domain_lower, scene.domain_upper)
-        height = state.position.double() - state.per_particle(lowest)
         excess = (self._density(state) - 1).clamp_min(0)
         values = torch.stack(
             [
-                velocity.square().sum(dim=1).mean() / 2,
-                -(height * state.per_particle(gravity)).sum(dim=1).mean(),
-                velocity.norm(dim=1).max(),
+                kinetic_energy(state),
+                potential_energy(state),
+                state.velocity.double().norm(dim=1).max(),
                 excess.mean(),
                 excess.quantile(0.999),
                 escaped(state),
             ]
         )
         finite = torch.nan_to_num(values, nan=torch.inf, posinf=torch.inf)
-        self._table.append((start.name, step, step * scene.time_step, *finite.tolist()))
+        time = step * state.scene.time_step
+        self._table.append((start.name, step, time, *finite.tolist()))
 
     def _draw(self) -> None:
         figure = Figure(figsize=(15, 4.2), dpi=100, layout="constrained")

@@ -27,6 +27,7 @@ experiments (settings come from YAML files: --config FILE, repeated; later files
 studies and reports:
   speed      compare the time per step of a network and of the SPH solver
   trade      compare errors and cost of networks, priors and a solver that may be careless
+  stress     roll a model out in hard cases and say where it is stable, degrades or blows up
   tune       fit the numbers of a prior to data
   ablations  compare prediction targets and the global feature over several scenes and seeds
   report     write an HTML page with the tables and curves of one run or several
@@ -53,6 +54,7 @@ _COMMANDS = {
     "predict": ("fluidsnet.cli", "run"),
     "speed": ("fluidsnet.studies.speed.command", "speed_command"),
     "trade": ("fluidsnet.studies.trade.command", "trade_command"),
+    "stress": ("fluidsnet.studies.stress.command", "stress_command"),
     "tune": ("fluidsnet.studies.tune.command", "tune_command"),
     "ablations": ("fluidsnet.studies.ablations.command", "ablations_command"),
     "report": ("fluidsnet.report.command", "report_command"),

@@ -181,6 +181,8 @@ class Model(nn.Module):
                 network was trained in another number of dimensions, or at another value of what
                 did not vary.
         """
+        for doubt in self.prior.doubts(scenes) if self.network.reads_guess else ():
+            warnings.warn(doubt, stacklevel=2)
         if not self.network.target.width:
             self._warn_of_unknown(scenes)
             return

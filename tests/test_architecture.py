@@ -55,6 +55,7 @@ RANKS = {
     "fluidsnet.models": 14,
     "fluidsnet": 15,
     "fluidsnet.reporting": 14,
+    "fluidsnet.stress": 15,
     "callbacks": 16,
     "datamodules": 16,
     "fluidsnet.arguments": 16,

@@ -24,6 +24,9 @@ from fluidsnet.priors.prior import Guess, Prior
 from fluidsnet.scene import Scene
 from fluidsnet.sph import NEIGHBORS, solid_volumes, spline_height
 
+#: Greatest ν·h/R² at which the explicit viscosity is stable, for a substep h and radius R.
+VISCOUS_LIMIT = 0.55
+
 
 @final
 class PressureStep(Prior):
@@ -112,6 +115,18 @@ class PressureStep(Prior):
         """Return a, the weight of the new velocity in the displacement of a substep (s)."""
         steps = max(substep / self.solver_step, 1.0)
         return (steps + 1) / (2 * steps)
+
+    def doubts(self, scenes: Scene) -> list[str]:
+        substep = scenes.time_step / (self.searches * self.substeps)
+        most = VISCOUS_LIMIT * scenes.particle_radius**2 / substep
+        told = [
+            f"{name} has a viscosity of {value:g}, and steps of {1000 * substep:.3g} ms with "
+            f"particles of {scenes.particle_radius:g} m are stable up to {most:.3g}; raise the "
+            "prior's substeps."
+            for name, value in zip(scenes.names, scenes.viscosity.tolist(), strict=True)
+            if value > most
+        ]
+        return told[:1]
 
     def forward(self, particles: Particles, described: bool = False) -> Guess:
         advance = self._reference

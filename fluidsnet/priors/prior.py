@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from fluidsnet.neighbors.search import Neighbors
 from fluidsnet.particles import Particles
+from fluidsnet.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,14 @@ class Prior(nn.Module, ABC):
             particles: N fluid particles and the solid ones.
             described: Whether neighbors and columns are needed.
         """
+
+    def doubts(self, scenes: Scene) -> list[str]:
+        """Return sentences on scenes for which the step is not made; none by default.
+
+        Args:
+            scenes: Scenes to step.
+        """
+        return []
 
     def guess(self, particles: Particles, described: bool = False) -> Guess:
         """Return `forward` of the particles, whose gradient is that of free fall.

@@ -1,0 +1,1 @@
+"""Hard cases for a model, and what became of it in them."""

@@ -1,0 +1,1 @@
+"""Hard cases for a model, beside its prior and the solver."""
