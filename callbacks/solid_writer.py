@@ -11,6 +11,7 @@ from lightning import Callback, LightningModule, Trainer
 
 from fluidsnet.export.vtkhdf import TrajectoryFile
 from fluidsnet.particles import Particles, RolloutStart
+from fluidsnet.reporting.file_places import file_places
 from fluidsnet.reporting.results import results_folder
 from fluidsnet.rollout import RolloutObserver
 
@@ -58,8 +59,6 @@ class SolidWriter(Callback, RolloutObserver):
     def _append(self, step: int, state: Particles) -> None:
         if self._file is None:
             return
-        position, velocity = (
-            values[self._moves].cpu().numpy()
-            for values in (state.solid_position, state.solid_velocity)
-        )
-        self._file.append(step * state.scene.time_step, position, {"velocity": velocity})
+        place = file_places(state.solid_position[self._moves], state)
+        velocity = state.solid_velocity[self._moves].cpu().numpy()
+        self._file.append(step * state.scene.time_step, place, {"velocity": velocity})

@@ -11,6 +11,7 @@ from fluidsnet.baselines import Baselines
 from fluidsnet.export.vtkhdf import TrajectoryFile
 from fluidsnet.metrics.positions import distance_mm, escaped
 from fluidsnet.particles import Particles, RolloutStart
+from fluidsnet.reporting.file_places import file_places
 from fluidsnet.reporting.results import results_folder
 from fluidsnet.rollout import RolloutObserver
 
@@ -60,7 +61,7 @@ class TrajectoryWriter(Callback, RolloutObserver):
             distance = distance_mm(state.position, true.position)
         self._file.append(
             step * state.scene.time_step,
-            state.position.cpu().numpy(),
+            file_places(state.position, state),
             {
                 "velocity": state.velocity.cpu().numpy(),
                 "position_error": distance.float().cpu().numpy(),

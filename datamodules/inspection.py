@@ -12,6 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from datamodules.schema import DAMAGE, Header, SceneAttributes, open_valid, simulations
+from datamodules.values import rounding
 from fluidsnet.errors import UserError
 from fluidsnet.progress import Progress
 
@@ -65,6 +66,7 @@ def inspect_simulation(
             worst_jump = max(worst_jump, float(np.quantile(jump, 0.99)))
         before = position, velocity
     intervals = np.diff(group["time"][()])
+    far = float(np.abs([scene.domain_lower, scene.domain_upper]).max())
     suspicions = {
         f"{len(bad)} frames are not finite, the first is {min(bad, default=0)}": bad,
         f"up to {escaped} particles are outside the domain at once": escaped,
@@ -72,6 +74,8 @@ def inspect_simulation(
         "particles: rows may not keep their particle, or dt may be wrong": worst_jump > 2 * radius,
         "the frames are not dt apart": not np.allclose(intervals, header.dt, rtol=1e-3, atol=0),
         "nothing moves": fastest == 0,
+        f"float32 tells places {rounding(far):.2g} m apart so far from zero; store positions as "
+        "float64": group["position"].dtype.itemsize < 8 and rounding(far) > radius / 100,
     }
     time = (frames - 1) * header.dt
     cost = float(group["solver_seconds"][()].sum()) / time if time else 0.0

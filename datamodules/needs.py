@@ -7,7 +7,11 @@ from collections.abc import Sequence
 
 import torch
 
+from fluidsnet.errors import UserError
 from fluidsnet.scene import VALUES, Scene
+
+#: Most cells of a background grid; each has 128 numbers.
+MOST_CELLS = 50_000_000
 
 
 def grid_shape(scene: Scene, voxel_size: float) -> tuple[int, int, int]:
@@ -16,10 +20,20 @@ def grid_shape(scene: Scene, voxel_size: float) -> tuple[int, int, int]:
     Args:
         scene: Scene; the domain of its first frame counts.
         voxel_size: Edge of a cell, m.
+
+    Raises:
+        UserError: There would be more than `MOST_CELLS`.
     """
     # The tolerance keeps 1.5 / 0.1 from becoming 16 by rounding.
     x, y, z = (max(math.ceil(edge / voxel_size - 1e-4), 1) for edge in scene.edges[0])
-    return x, y, z if scene.dimension == 3 else 1
+    shape = x, y, z if scene.dimension == 3 else 1
+    if math.prod(shape) > MOST_CELLS:
+        raise UserError(
+            f"data.voxel_size is {voxel_size:g} m, which gives {x:,} x {y:,} x {shape[2]:,} cells "
+            f"in a box of {' x '.join(f'{edge:g}' for edge in scene.edges[0])} m; set a larger "
+            "one, of a few support radii."
+        )
+    return shape
 
 
 def varying(scenes: Sequence[Scene]) -> list[str]:

@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any, SupportsFloat, final
 
 import h5py
+import numpy as np
 import torch
 from torch import Tensor
 
 from datamodules.schema import DAMAGE, LENGTHS, Header, SceneAttributes, open_valid, simulations
+from datamodules.values import NO_ORIGIN, Vector, as_tensor, check_finite, origin_of
 from fluidsnet.errors import UserError
 from fluidsnet.particles import Particles
 from fluidsnet.scene import Scene
@@ -46,11 +48,14 @@ class FrameReader:
         self._moving: set[str] = set()
         self._scenes: dict[tuple[str, int], Scene] = {}
         self._attributes: dict[str, SceneAttributes] = {}
+        self._origins: dict[str, Vector] = {}
         self.frames: dict[str, int] = {}
         with open_valid(path) as file:
             self.header = Header.read(file)
             for name in simulations(file):
-                self._attributes[name] = _flat(file[name], self.header.particle_radius)
+                radius = self.header.particle_radius
+                self._attributes[name] = _flat(file[name], radius)
+                self._origins[name] = origin_of(self._attributes[name], radius)
                 if reason := _unsupported(file[name], self._attributes[name]):
                     raise UserError(f"{path}: {reason}.")
                 self.frames[name] = len(file[name]["position"])
@@ -66,15 +71,17 @@ class FrameReader:
     def scene(self, simulation: str, stride: int) -> Scene:
         """Return the scene of a simulation for steps of this many frames, always the same object.
 
-        Its name is the file's and the simulation's, such as test/00000.
+        Its name is the file's and the simulation's, such as test/00000. Positions are relative to
+        its origin, which is zero unless the box is far from there.
         """
         if (simulation, stride) not in self._scenes:
             attributes, header = self._attributes[simulation], self.header
+            origin = self._origins[simulation]
             # Kept for training too, where a tensor made in inference mode cannot be used.
             with torch.inference_mode(False):
                 self._scenes[simulation, stride] = Scene.single(
-                    attributes.domain_lower,
-                    attributes.domain_upper,
+                    np.subtract(attributes.domain_lower, origin).tolist(),
+                    np.subtract(attributes.domain_upper, origin).tolist(),
                     attributes.gravity,
                     header.particle_radius,
                     header.support_radius,
@@ -84,6 +91,7 @@ class FrameReader:
                     surface_tension=attributes.surface_tension,
                     name=f"{self.path.stem}/{simulation}",
                     dimension=attributes.dimension,
+                    origin=origin,
                 )
         return self._scenes[simulation, stride]
 
@@ -138,12 +146,17 @@ class FrameReader:
         self._handle = None
 
     def _read(self, name: str, index: int | tuple[()], what: str) -> Tensor:
+        simulation, _, data = name.partition("/")
         try:
-            return torch.from_numpy(self._file()[name][index]).float()
+            values = self._file()[name][index]
         except DAMAGE as error:
             raise UserError(
                 f"{self.path}: {what} cannot be read; the file is damaged or gone ({error})."
             ) from error
+        origin = self._origins[simulation] if data.endswith("position") else NO_ORIGIN
+        read = as_tensor(values, origin)
+        check_finite(read, self.path, data, what)
+        return read
 
     def _file(self) -> h5py.File:
         if self._handle is None or self._process != os.getpid():

@@ -27,6 +27,7 @@ from typing import Any, Self
 import h5py
 import numpy as np
 
+from datamodules.storage import check_links, check_stored
 from fluidsnet.errors import UserError
 
 #: Version that is written.
@@ -94,6 +95,12 @@ class SceneAttributes:
         scene = cls(**values)
         if not np.greater(scene.domain_upper, scene.domain_lower).all():
             raise UserError(f"{group.name}: domain_upper must be above domain_lower on every axis.")
+        for name, least in (("density0", 1e-30), ("viscosity", 0.0), ("surface_tension", 0.0)):
+            if getattr(scene, name) < least:
+                raise UserError(
+                    f"{group.name}: {name} is {getattr(scene, name)}; it must be "
+                    f"{'at least' if least == 0 else 'above'} zero."
+                )
         if scene.dimension not in (2, 3):
             raise UserError(f"{group.name}: dimension is {scene.dimension}; it must be 2 or 3.")
         return scene
@@ -200,6 +207,7 @@ def open_valid(path: Path) -> h5py.File:
         ) from error
     try:
         _check_header(file)
+        check_links(file)
         if not simulations(file):
             raise UserError("no simulation in it; expected groups such as /00000.")
         for name in simulations(file):
@@ -232,6 +240,12 @@ def _check_header(file: h5py.File) -> None:
             raise UserError(f"the attribute {name} must be one number.")
         if not (np.isfinite(value) and value > 0):
             raise UserError(f"the attribute {name} is {value}; it must be finite and above zero.")
+    radius, support = (float(file.attrs[name]) for name in LENGTHS[:2])
+    if support <= radius:
+        raise UserError(
+            f"support_radius is {support:g}, and particle_radius {radius:g}; particles would have "
+            "no neighbors."
+        )
     try:
         Header.read(file)
     except (TypeError, ValueError) as error:
@@ -239,6 +253,7 @@ def _check_header(file: h5py.File) -> None:
 
 
 def _check_simulation(group: h5py.Group) -> None:
+    check_links(group)
     SceneAttributes.read(group)
 
     def shape(name: str, *expected: int) -> tuple[int, ...]:
@@ -249,6 +264,7 @@ def _check_simulation(group: h5py.Group) -> None:
             raise UserError(f"{where} holds {dataset.dtype}; expected floating-point numbers.")
         if expected and dataset.shape != expected:
             raise UserError(f"{where} has shape {dataset.shape}; expected {expected}.")
+        check_stored(dataset)
         found: tuple[int, ...] = dataset.shape
         return found
 

@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 
 from jsonargparse import get_loader, set_loader
 from lightning import Trainer
+from lightning.fabric.plugins import CheckpointIO
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import Callback, ProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI, SaveConfigCallback
@@ -25,6 +26,7 @@ from callbacks.one_step_table import OneStepTable
 from callbacks.run_summary import RunSummary
 from datamodules.sph import SPHDataModule
 from fluidsnet.arguments import with_base, with_run
+from fluidsnet.checkpoint_io import WholeCheckpoints
 from fluidsnet.console import quiet
 from fluidsnet.deprecated import DeprecatedNames
 from fluidsnet.errors import UserError
@@ -32,6 +34,8 @@ from fluidsnet.module import NEEDS, FluidsNet
 
 #: Default global seed.
 SEED = 0
+#: Precisions of the trainer that positions allow.
+PRECISIONS = (None, "32-true", "32", 32, "bf16-mixed", "bf16", "16-mixed", "16", 16)
 #: Folder for the files of a run without a logger.
 UNLOGGED = "runs/unlogged"
 # Name of the parser's YAML loader that replaces deprecated names.
@@ -83,6 +87,15 @@ class FluidsNetCLI(LightningCLI):
         config = self._get(self.config_init, "trainer")
         chosen: Any = config.callbacks or []
         chosen = list(chosen) if isinstance(chosen, list) else [chosen]
+        if config.precision not in PRECISIONS:
+            raise UserError(
+                f"trainer.precision is {config.precision}; use 32-true, bf16-mixed or 16-mixed: "
+                "positions need 32 bits."
+            )
+        plugins: Any = config.plugins or []
+        plugins = [*plugins] if isinstance(plugins, list) else [plugins]
+        if not any(isinstance(plugin, CheckpointIO) for plugin in plugins):
+            plugins.append(WholeCheckpoints())
         own: list[Callback] = [RunSummary()]
         if config.enable_progress_bar is not False and not any(
             isinstance(callback, ProgressBar) for callback in chosen
@@ -90,6 +103,7 @@ class FluidsNetCLI(LightningCLI):
             own.append(ConsoleProgress())
         return super().instantiate_trainer(
             callbacks=[*own, *chosen],
+            plugins=plugins,
             enable_model_summary=config.enable_model_summary or False,
             default_root_dir=config.default_root_dir or UNLOGGED,
             **kwargs,

@@ -84,6 +84,10 @@ def main(arguments: list[str] | None = None) -> None:
     except UserError as error:
         print(f"fluidsnet: {_message(error)}", file=sys.stderr)
         sys.exit(1)
+    except BrokenPipeError:
+        # The reader of a pipe has ended, as in `fluidsnet inspect … | head`.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        sys.exit(141)
     except KeyboardInterrupt:
         print("fluidsnet: interrupted.", file=sys.stderr)
         sys.exit(130)

@@ -36,6 +36,13 @@ ScheduleCallable = Callable[[Optimizer, int], LRScheduler]
 #: Arguments of `FluidsNet` that are linked to the data module's properties of these names.
 NEEDS = ("grid_shape", "dimension", "varying")
 
+# Steps between two looks at the loss on a GPU.
+_LOOK_EVERY = 50
+_DIVERGED = (
+    "{} is not finite at step {}, so training ends; checkpoints of earlier steps are kept. Set "
+    "trainer.gradient_clip_val to 1, or lower the learning rate (model.optimizer)."
+)
+
 
 class FluidsNet(LightningModule):
     """Training, validation, test and prediction of a model and its twins (paper, section 5.3).
@@ -170,6 +177,7 @@ class FluidsNet(LightningModule):
         losses = with_same_rng(
             self.device, [partial(model.loss, batch, self.warm_up) for model in models.values()]
         )
+        self._check_finite(losses)
         self.log("train/loss", losses[0], batch_size=frames, prog_bar=True, sync_dist=True)
         if len(models) > 1:
             for name, loss in zip(models, losses, strict=True):
@@ -242,6 +250,8 @@ class FluidsNet(LightningModule):
         return module
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        if not all(bool(weight.isfinite().all()) for weight in self.parameters()):
+            raise UserError(_DIVERGED.format("A weight", self.global_step))
         describe(checkpoint, self.named_models())
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
@@ -253,6 +263,18 @@ class FluidsNet(LightningModule):
                 self.models[name] = model.twin(varying=varying)
         for name in check(checkpoint, self.named_models(), self._resuming):
             rank_zero_info(f"The checkpoint's twin {name!r} is left out; the model alone is used.")
+
+    def _check_finite(self, losses: Sequence[Tensor]) -> None:
+        """Check that the losses are finite.
+
+        Raises:
+            UserError: One is not.
+        """
+        # On a GPU each look waits for it.
+        if self.device.type == "cpu" or self.global_step % _LOOK_EVERY == 0:
+            for name, loss in zip(self.models, losses, strict=True):
+                if not bool(loss.isfinite()):
+                    raise UserError(_DIVERGED.format(f"The loss of {name!r}", self.global_step))
 
     def _check_time_step(self) -> None:
         if not self.model.is_trained:

@@ -38,6 +38,8 @@ class Scene(Batch):
         edges: Edges of each frame's box, m, as numbers on the host, so that boxes are compared
             without a copy from the GPU.
         dimension: 3, or 2 where the third coordinate is constant and has no walls.
+        origins: Point that each frame's coordinates are relative to, m, on the host; none where
+            they are as in the file.
     """
 
     domain_lower: Tensor = field(metadata=ROWS)
@@ -52,6 +54,7 @@ class Scene(Batch):
     names: tuple[str, ...] = field(metadata=ENTRIES)
     edges: tuple[Edges, ...] = field(metadata=ENTRIES)
     dimension: int = field(default=3, metadata=SHARED)
+    origins: tuple[Edges, ...] = field(default=(), metadata=ENTRIES)
 
     @classmethod
     def single(
@@ -67,6 +70,7 @@ class Scene(Batch):
         surface_tension: float = 0.0,
         name: str = "scene",
         dimension: int = 3,
+        origin: Edges = (0.0, 0.0, 0.0),
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
     ) -> Scene:
@@ -89,6 +93,7 @@ class Scene(Batch):
             names=(name,),
             edges=((x, y, z),),
             dimension=dimension,
+            origins=(origin,),
         )
 
     def __len__(self) -> int:

@@ -12,6 +12,7 @@ ROOT = Path(__file__).parents[1]
 RANKS = {
     "fluidsnet.batch": 0,
     "fluidsnet.cache": 0,
+    "fluidsnet.checkpoint_io": 12,
     "fluidsnet.compile_cache": 0,
     "fluidsnet.console": 0,
     "fluidsnet.deprecated": 0,

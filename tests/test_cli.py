@@ -507,3 +507,24 @@ def test_the_installed_program_says_its_errors_on_stderr() -> None:
     assert ended.stdout == ""
     assert ended.stderr.count("\n") == 1
     assert "not a whole HDF5 file" in ended.stderr
+
+
+def test_a_reader_that_ends_ends_the_command_quietly(sample: Path) -> None:
+    command = f"{sys.executable} -m fluidsnet.main inspect {sample / 'test.h5'} | head -1"
+    ended = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert ended.stdout.count("\n") == 1 and "Traceback" not in ended.stderr
+
+
+@pytest.mark.parametrize("precision", ["64-true", "bf16-true", "16-true"])
+def test_a_precision_that_positions_do_not_allow_is_refused(
+    precision: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(
+            [
+                "fit",
+                *(f"--config={CONFIGS / it}" for it in ("model/paper.yaml", "data/sample.yaml")),
+                *("--trainer.max_steps=1", f"--trainer.precision={precision}"),
+            ]
+        )
+    assert f"trainer.precision is {precision}; use 32-true, bf16" in capsys.readouterr().err

@@ -100,7 +100,7 @@ class TrajectoryFile:
 
         Args:
             time: s, later than that of the last step.
-            position: (N, 3), m, stored as float32.
+            position: (N, 3), m, stored as float32; float64 as it is.
             point_data: Name -> (N,) or (N, 3) real numbers. Names, shapes and types must be
                 those of the first step.
             field_data: Name -> one number for the step. Names must be those of the first step.
@@ -136,7 +136,7 @@ class TrajectoryFile:
         """Return the rows of a step, one or N, by name of the data set under /VTKHDF."""
         first = self._steps * self.particles
         rows: dict[str, Array] = {
-            "Points": np.asarray(position, dtype=np.float32),
+            "Points": np.asarray(position, dtype=_place_type(position)),
             "Steps/Values": np.array([time], dtype=np.float64),
             "Steps/PointOffsets": np.array([first], dtype=np.int64),
             "Steps/NumberOfParts": np.array([1], dtype=np.int64),
@@ -193,7 +193,11 @@ def read_field_data(path: str | Path) -> dict[str, NDArray[np.float64]]:
         return {name: np.asarray(values[:steps], float) for name, values in columns.items()}
 
 
-def read_frame(path: str | Path, step: int) -> tuple[NDArray[np.float32], dict[str, Array]]:
+def _place_type(position: Array) -> type[np.float32 | np.float64]:
+    return np.float64 if position.dtype == np.float64 else np.float32
+
+
+def read_frame(path: str | Path, step: int) -> tuple[Array, dict[str, Array]]:
     """Read one step.
 
     Args:
@@ -213,7 +217,7 @@ def read_frame(path: str | Path, step: int) -> tuple[NDArray[np.float32], dict[s
         (particles,) = root["NumberOfPoints"][...]
         first = int(root["Steps/PointOffsets"][step % steps])
         rows = slice(first, first + int(particles))
-        position = np.asarray(root["Points"][rows], dtype=np.float32)
+        position = np.asarray(root["Points"][rows])
         point_data = root.get("PointData", {}).items()
         return position, {name: np.asarray(values[rows]) for name, values in point_data}
 

@@ -1,0 +1,73 @@
+"""Reading and writing of checkpoint files."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any, final
+
+import torch
+from lightning.fabric.plugins import TorchCheckpointIO
+
+from fluidsnet.errors import UserError
+
+
+@final
+class WholeCheckpoints(TorchCheckpointIO):
+    """Checkpoint files that are whole or not there, and that hold weights and plain values.
+
+    A file is written under a temporary name in its folder and renamed, so that a full disk or a
+    kill leaves the earlier one. Nothing but weights and plain values is unpickled: a checkpoint
+    may come from someone else.
+    """
+
+    def save_checkpoint(
+        self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any | None = None
+    ) -> None:
+        """Write a checkpoint.
+
+        Raises:
+            UserError: The file cannot be written; the earlier one is whole.
+        """
+        file = Path(path)
+        partial = file.with_name(f".{file.name}.{os.getpid()}.tmp")
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            with partial.open("wb") as stream:
+                torch.save(checkpoint, stream)
+                stream.flush()
+                os.fsync(stream.fileno())
+            partial.replace(file)
+        except (OSError, RuntimeError) as error:
+            # torch wraps a full disk in a RuntimeError.
+            reason = error.strerror if isinstance(error, OSError) and error.strerror else error
+            kept = "; the earlier one is whole" if file.exists() else ""
+            raise UserError(f"{file} cannot be written: {reason}{kept}.") from error
+        finally:
+            partial.unlink(missing_ok=True)
+
+    def load_checkpoint(
+        self, path: Any, map_location: Any = None, weights_only: bool | None = None
+    ) -> dict[str, Any]:
+        """Read a checkpoint onto the CPU.
+
+        Raises:
+            UserError: It is not a file, is damaged, or holds other objects than weights.
+        """
+        if "://" in str(path):
+            raise UserError(f"--ckpt_path {path} is an address; download the file and name that.")
+        if not Path(path).is_file():
+            raise UserError(f"--ckpt_path {path}: there is no such file.")
+        try:
+            read: dict[str, Any] = torch.load(
+                path, map_location=map_location or "cpu", weights_only=True
+            )
+        except UnpicklingError as error:
+            raise UserError(
+                f"{path} holds objects other than weights and plain values, which are not loaded, "
+                "since they can run code."
+            ) from error
+        except (OSError, EOFError, RuntimeError, KeyError) as error:
+            raise UserError(f"{path} cannot be read; it is damaged or no checkpoint.") from error
+        return read
