@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from datamodules.schema import DAMAGE, Header, SceneAttributes, open_valid, simulations
-from datamodules.values import rounding
+from datamodules.suspicions import Suspicions
 from fluidsnet.errors import UserError
 from fluidsnet.progress import Progress
 
@@ -35,48 +35,16 @@ def inspect_simulation(
         Row of a table; corners of the fluid's bounding box over all frames, m; and sentences
         on suspicious values.
     """
-    name, radius = group.name.lstrip("/"), header.particle_radius
+    name = group.name.lstrip("/")
     scene = SceneAttributes.read(group)
     frames, fluid = group["position"].shape[:2]
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
-    fastest, escaped, worst_jump = 0.0, 0, 0.0
-    bad: list[int] = []
-    before: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+    suspicions = Suspicions(scene, header.particle_radius, header.dt)
     for frame in Progress(range(frames), desc=f"reading /{name}", unit="frame", leave=False):
         position = group["position"][frame].astype(np.float64)
-        velocity = group["velocity"][frame].astype(np.float64)
-        if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
-            bad.append(frame)
-            before = None
-            continue
-        lower, upper = np.minimum(lower, position.min(0)), np.maximum(upper, position.max(0))
-        fastest = max(fastest, float(np.linalg.norm(velocity, axis=1).max()))
-        outside = np.any(
-            (position < np.subtract(scene.domain_lower, radius))
-            | (position > np.add(scene.domain_upper, radius)),
-            axis=1,
-        )
-        escaped = max(escaped, int(outside.sum()))
-        if before is not None:
-            # A row moves with its velocity, unless it changes to another particle. A particle that
-            # hits a wall within the frame differs by a share of its path.
-            moved = position - before[0] - header.dt * (before[1] + velocity) / 2
-            way = header.dt * (np.linalg.norm(before[1], axis=1) + np.linalg.norm(velocity, axis=1))
-            jump = np.linalg.norm(moved, axis=1) - way / 8
-            worst_jump = max(worst_jump, float(np.quantile(jump, 0.99)))
-        before = position, velocity
-    intervals = np.diff(group["time"][()])
-    far = float(np.abs([scene.domain_lower, scene.domain_upper]).max())
-    suspicions = {
-        f"{len(bad)} frames are not finite, the first is {min(bad, default=0)}": bad,
-        f"up to {escaped} particles are outside the domain at once": escaped,
-        f"positions and velocities disagree by {worst_jump:.3g} m per frame for 1 % of the "
-        "particles: rows may not keep their particle, or dt may be wrong": worst_jump > 2 * radius,
-        "the frames are not dt apart": not np.allclose(intervals, header.dt, rtol=1e-3, atol=0),
-        "nothing moves": fastest == 0,
-        f"float32 tells places {rounding(far):.2g} m apart so far from zero; store positions as "
-        "float64": group["position"].dtype.itemsize < 8 and rounding(far) > radius / 100,
-    }
+        if suspicions.add(frame, position, group["velocity"][frame].astype(np.float64)):
+            lower = np.minimum(lower, position.min(axis=0))
+            upper = np.maximum(upper, position.max(axis=0))
     time = (frames - 1) * header.dt
     cost = float(group["solver_seconds"][()].sum()) / time if time else 0.0
     row = {
@@ -85,10 +53,10 @@ def inspect_simulation(
         "time s": f"{time:.3f}",
         "fluid": fluid,
         "solid": group["solid_position"].shape[-2],
-        "fastest m/s": f"{fastest:.2f}",
+        "fastest m/s": f"{suspicions.fastest:.2f}",
         "solver s per s (threads)": f"{cost:.1f} ({group.attrs.get('threads', '?')})",
     }
-    return row, [lower, upper], [text for text, found in suspicions.items() if found]
+    return row, [lower, upper], suspicions.sentences(group)
 
 
 def describe(path: Path) -> str:

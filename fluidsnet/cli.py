@@ -7,6 +7,7 @@ import signal
 import sys
 from argparse import SUPPRESS
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NoReturn
 
 from jsonargparse import get_loader, set_loader
@@ -108,6 +109,30 @@ class FluidsNetCLI(LightningCLI):
             default_root_dir=config.default_root_dir or UNLOGGED,
             **kwargs,
         )
+
+    def _prepare_subcommand_kwargs(self, subcommand: str) -> dict[str, Any]:
+        options = super()._prepare_subcommand_kwargs(subcommand)
+        word = options.get("ckpt_path")
+        if word in ("last", "best"):
+            options["ckpt_path"] = self._own_checkpoint(str(word))
+        return options
+
+    def _own_checkpoint(self, word: str) -> str:
+        """Return the last or best checkpoint in the folder of this run.
+
+        Lightning would train from scratch where there is none.
+
+        Raises:
+            UserError: There is none.
+        """
+        folder = self.trainer.log_dir or self.trainer.default_root_dir
+        path = Path(folder) / "checkpoints" / f"{word}.ckpt"
+        if not path.is_file():
+            raise UserError(
+                f"--ckpt_path {word}: {path} is missing; name the file itself, or set "
+                "trainer.logger.init_args.version to that of the run to continue."
+            )
+        return str(path)
 
     def validate(self, **options: Any) -> None:
         """Validate and print the metrics, one a line."""

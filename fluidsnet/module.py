@@ -11,6 +11,7 @@ import torch
 from lightning import LightningModule
 from lightning.pytorch.cli import OptimizerCallable
 from lightning.pytorch.utilities import rank_zero_info
+from lightning.pytorch.utilities.exceptions import SIGTERMException
 from torch import Tensor
 from torch.nn.parallel import DistributedDataParallel
 from torch.optim import Optimizer
@@ -36,6 +37,8 @@ ScheduleCallable = Callable[[Optimizer, int], LRScheduler]
 #: Arguments of `FluidsNet` that are linked to the data module's properties of these names.
 NEEDS = ("grid_shape", "dimension", "varying")
 
+# Key of the schedule's steps in a checkpoint.
+_SCHEDULED = "fluidsnet_schedule_steps"
 # Steps between two looks at the loss on a GPU.
 _LOOK_EVERY = 50
 _DIVERGED = (
@@ -93,6 +96,8 @@ class FluidsNet(LightningModule):
             {name: OneStepErrors() for name in ("model", *TRIVIAL_PREDICTORS)}
         )
         self._resuming = False
+        # Steps of the learning rate schedule, which a resumed run takes from its checkpoint.
+        self._scheduled = 0
 
     @property
     def model(self) -> Model:
@@ -151,7 +156,8 @@ class FluidsNet(LightningModule):
             # A name would be a part of the learning rate's tag.
             del groups[0]["name"]
         optimizer = self.optimizer(groups)
-        scheduler = self.schedule(optimizer, total_steps(self))
+        self._scheduled = total_steps(self)
+        scheduler = self.schedule(optimizer, self._scheduled)
         return {
             "optimizer": optimizer,
             "lr_scheduler": {
@@ -160,6 +166,11 @@ class FluidsNet(LightningModule):
                 "name": "train/learning_rate",  # as LearningRateMonitor logs it
             },
         }
+
+    def lr_scheduler_step(self, scheduler: Any, metric: Any) -> None:
+        # Past its end a schedule stays where it is: a resumed cosine would climb again.
+        if scheduler.last_epoch < self._scheduled:
+            scheduler.step()
 
     def configure_gradient_clipping(
         self,
@@ -202,6 +213,7 @@ class FluidsNet(LightningModule):
                 errors.log_from(self, f"validation.{name}", f"ablation/{{}}/{name}", frames)
 
     def test_step(self, batch: Transitions, batch_index: int) -> None:
+        self._check_terminated()
         predictors: dict[str, Callable[[Particles], Particles]] = {
             **{name: model.step for name, model in self.named_models().items()},
             **TRIVIAL_PREDICTORS,
@@ -223,6 +235,7 @@ class FluidsNet(LightningModule):
             observer.on_rollout_start(batch)
         try:
             for step, (state, references) in enumerate(states, start=1):
+                self._check_terminated()
                 # States are measured in full precision.
                 with torch.autocast(self.device.type, enabled=False):
                     for observer in observers:
@@ -253,9 +266,13 @@ class FluidsNet(LightningModule):
         if not all(bool(weight.isfinite().all()) for weight in self.parameters()):
             raise UserError(_DIVERGED.format("A weight", self.global_step))
         describe(checkpoint, self.named_models())
+        checkpoint[_SCHEDULED] = self._scheduled
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         migrate(checkpoint)
+        if self._resuming:
+            # Its scheduler is restored, too, with what it was built for.
+            self._scheduled = checkpoint.get(_SCHEDULED, self._scheduled)
         # What varies is a fact of the training data; those at hand may have no training split.
         varying = tuple(checkpoint.get("hyper_parameters", {}).get("varying", ()))
         for name, model in self.named_models().items():
@@ -263,6 +280,11 @@ class FluidsNet(LightningModule):
                 self.models[name] = model.twin(varying=varying)
         for name in check(checkpoint, self.named_models(), self._resuming):
             rank_zero_info(f"The checkpoint's twin {name!r} is left out; the model alone is used.")
+
+    def _check_terminated(self) -> None:
+        """Raise Lightning's exception after SIGTERM, which it raises in training alone."""
+        if self.trainer.received_sigterm:
+            raise SIGTERMException
 
     def _check_finite(self, losses: Sequence[Tensor]) -> None:
         """Check that the losses are finite.

@@ -6,8 +6,10 @@ import csv
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -528,3 +530,98 @@ def test_a_precision_that_positions_do_not_allow_is_refused(
             ]
         )
     assert f"trainer.precision is {precision}; use 32-true, bf16" in capsys.readouterr().err
+
+
+def test_the_last_checkpoint_of_another_folder_is_not_taken_for_a_fresh_start(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        run("fit", TRAINER, PAPER, SAMPLE, more=("--ckpt_path=last",))
+    message = capsys.readouterr().err
+    assert "--ckpt_path last: " in message and "last.ckpt is missing; name the file" in message
+    assert not list(tmp_path.rglob("*.ckpt"))
+
+
+def test_a_resumed_schedule_stays_where_it_ended(run: Run, tmp_path: Path) -> None:
+    cosine = "torch.optim.lr_scheduler.CosineAnnealingLR"
+    schedule = f"--model.init_args.schedule={{class_path: {cosine}, init_args: {{eta_min: 1e-5}}}}"
+    limits = ("--trainer.limit_train_batches=4", schedule)
+    run("fit", TRAINER, PAPER, SAMPLE, more=limits)
+    folder = tmp_path / "run"
+
+    def rate() -> float:
+        saved = torch.load(folder / "checkpoints" / "last.ckpt", weights_only=True)
+        found: float = saved["lr_schedulers"][0]["_last_lr"][0]
+        return found
+
+    assert rate() == pytest.approx(1e-5)
+    main(
+        [
+            *("fit", f"--config={folder / 'config.yaml'}", "--ckpt_path=last"),
+            *("--trainer.max_epochs=3", "--trainer.enable_progress_bar=false"),
+        ]
+    )
+    assert kept_steps(tmp_path)["last.ckpt"] == 12
+    assert rate() == pytest.approx(1e-5)
+
+
+def killed(arguments: list[str], number: signal.Signals, sign: Path) -> tuple[int, str]:
+    """Run a command, send it a signal once a file exists, and return its status and errors."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "fluidsnet.main", *arguments],
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + 120
+    while not list(sign.parent.glob(sign.name)) and process.poll() is None:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    time.sleep(0.5)
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=120)
+    return process.returncode, errors
+
+
+@pytest.mark.parametrize(
+    ("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["ctrl-c", "term"]
+)
+def test_a_run_that_is_interrupted_before_its_first_validation_keeps_its_weights(
+    sample: Path, tmp_path: Path, number: signal.Signals, status: int, default_signals: None
+) -> None:
+    arguments = [
+        "fit",
+        *(f"--config={config}" for config in (TRAINER, PAPER, SAMPLE)),
+        f"--data.init_args.root={sample}",
+        *("--data.init_args.workers=0", "--trainer.max_epochs=-1", "--trainer.max_steps=1000000"),
+        *("--trainer.check_val_every_n_epoch=null", "--trainer.val_check_interval=1000000"),
+        *("--trainer.logger.init_args.name=run", "--trainer.logger.init_args.version="),
+        *("--trainer.enable_progress_bar=false", "--trainer.log_every_n_steps=1"),
+        f"--trainer.logger.init_args.save_dir={tmp_path}",
+    ]
+    found, errors = killed(arguments, number, tmp_path / "run" / "config.yaml")
+    assert found == status, errors
+    assert "Traceback" not in errors
+    saved = torch.load(tmp_path / "run" / "checkpoints" / "last.ckpt", weights_only=True)
+    assert saved["global_step"] > 0
+
+
+@pytest.mark.parametrize(
+    ("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["ctrl-c", "term"]
+)
+def test_a_rollout_that_is_interrupted_keeps_its_steps(
+    sample: Path, tmp_path: Path, number: signal.Signals, status: int, default_signals: None
+) -> None:
+    arguments = [
+        "predict",
+        *(f"--config={CONFIGS / 'model' / 'prior.yaml'}", f"--config={TRAINER}"),
+        f"--config={SAMPLE}",
+        *(f"--data.init_args.root={sample}", "--data.init_args.rollout_steps=1000000"),
+        "--trainer.callbacks=[callbacks.TrajectoryWriter]",
+        *("--trainer.logger.init_args.name=run", "--trainer.logger.init_args.version="),
+        f"--trainer.logger.init_args.save_dir={tmp_path}",
+    ]
+    folder = tmp_path / "run" / RESULTS / "rollouts"
+    found, errors = killed(arguments, number, folder / "*.vtkhdf.tmp")
+    assert found == status, errors
+    assert "Traceback" not in errors
+    (path,) = folder.glob("*.vtkhdf")
+    assert len(read_field_data(path)["time"]) > 1

@@ -122,6 +122,33 @@ def still(file: h5py.File) -> None:
     file["00001/position"][...] = file["00001/position"][0]
 
 
+def zero(file: h5py.File) -> None:
+    file["00001/position"][8] = 0
+
+
+def twice(file: h5py.File) -> None:
+    file["00001/position"][11] = file["00001/position"][10]
+
+
+def wrapped(file: h5py.File) -> None:
+    file["00001/position"][9:, :, 0] = (file["00001/position"][9:, :, 0] + 1.3) % 1.5
+
+
+def chunked(file: h5py.File) -> None:
+    values = file["00001/position"][()]
+    del file["00001/position"]
+    file["00001"].create_dataset("position", data=values, chunks=(5, *values.shape[1:]))
+
+
+def solids_in_mm(file: h5py.File) -> None:
+    file["00001/solid_position"][...] *= 1000
+
+
+def solids_twice(file: h5py.File) -> None:
+    solids = file["00001/solid_position"]
+    solids[len(solids) // 2 :] = solids[0]
+
+
 SPOILED: dict[str, tuple[Spoil, str]] = {
     "not finite": (not_finite, "2 frames are not finite, the first is 7"),
     "shuffled rows": (shuffled, "rows may not keep their particle"),
@@ -129,6 +156,12 @@ SPOILED: dict[str, tuple[Spoil, str]] = {
     "another dt": (other_dt, "the frames are not dt apart"),
     "uneven time": (uneven, "the frames are not dt apart"),
     "still": (still, "nothing moves"),
+    "zero": (zero, "1 frames are all zero, the first is 8"),
+    "twice": (twice, "1 frames are the same as the one before though the fluid moves.* is 11"),
+    "wrapped": (wrapped, r"cross the whole box within a frame, first in \d+: positions may be"),
+    "chunked": (chunked, "a chunk of positions holds 5 frames"),
+    "solids in mm": (solids_in_mm, "solids are farther from the domain than it is wide"),
+    "solids twice": (solids_twice, r"\d+ solids are at the place of another"),
 }
 
 
@@ -201,3 +234,13 @@ def test_a_bad_file_is_one_sentence_and_status_1(tmp_path: Path) -> None:
     assert run.stdout == ""
     assert len(run.stderr.strip().splitlines()) == 1
     assert run.stderr.startswith(f"fluidsnet: {path}: not a whole HDF5 file")
+
+
+def test_a_folder_is_all_of_its_files(
+    sample: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    inspect_command([str(sample)])
+    text = capsys.readouterr().out
+    assert [f"{sample / name}.h5: " in text for name in ("train", "val", "test")] == [True] * 3
+    with pytest.raises(UserError, match=r"holds none of train.h5, val.h5 and test.h5"):
+        inspect_command([str(tmp_path)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
@@ -10,6 +11,7 @@ import torch
 from datamodules.inspection import describe
 from datamodules.needs import grid_shape, varying
 from datamodules.reader import FrameReader
+from datamodules.schema import SPLITS
 from fluidsnet.errors import UserError
 from fluidsnet.models import load
 from fluidsnet.models.loading import build, config_path, has_weights
@@ -35,7 +37,7 @@ def inspect_command(arguments: list[str]) -> None:
     """
     parser = ArgumentParser(prog="fluidsnet inspect", description=_DESCRIPTION)
     parser.add_argument(
-        "files", nargs="*", type=Path, metavar="FILE", help="data file, such as train.h5"
+        "files", nargs="*", type=Path, metavar="FILE", help="data file or folder, such as data/demo"
     )
     parser.add_argument(
         "--model",
@@ -53,13 +55,29 @@ def inspect_command(arguments: list[str]) -> None:
     if options.model is None:
         if not options.files:
             raise UserError("name a data file, such as data/demo/train.h5.")
-        for path in options.files:
-            print(describe(path))
+        for file in _all_files(options.files):
+            print(describe(file))
         return
     path = options.data or next(iter(options.files), None)
     if path is None:
         raise UserError("--model needs the file of a scene: --data data/demo/test.h5.")
     print(describe_plan(options.model, path, options.stride, options.frame, options.voxel_size))
+
+
+def _all_files(paths: Sequence[Path]) -> list[Path]:
+    """Return files, and those of the splits in a folder.
+
+    Raises:
+        UserError: A folder has none.
+    """
+    found: list[Path] = []
+    for path in paths:
+        splits = [path / f"{split}.h5" for split in SPLITS] if path.is_dir() else [path]
+        present = [it for it in splits if it.exists() or not path.is_dir()]
+        if not present:
+            raise UserError(f"{path} holds none of train.h5, val.h5 and test.h5.")
+        found += present
+    return found
 
 
 def describe_plan(
