@@ -27,6 +27,7 @@ from typing import Any, Self
 import h5py
 import numpy as np
 
+from datamodules.guard import guarded
 from datamodules.storage import check_links, check_stored
 from fluidsnet.errors import UserError
 
@@ -199,6 +200,11 @@ def open_valid(path: Path) -> h5py.File:
     """
     if not path.is_file():
         raise UserError(f"{path}: there is no such file; make it with `fluidsnet generate`.")
+    guarded(path, lambda: _open_checked(path))
+    return _open_checked(path)
+
+
+def _open_checked(path: Path) -> h5py.File:
     try:
         file = h5py.File(path, "r")
     except OSError as error:
@@ -228,7 +234,7 @@ def _check_header(file: h5py.File) -> None:
     version = file.attrs.get("schema_version")
     if version is None:
         raise UserError("the attribute schema_version is missing; it is not a FluidsNet data file.")
-    if version not in READ_VERSIONS:
+    if np.ndim(version) or version not in READ_VERSIONS:
         versions = " and ".join(map(str, READ_VERSIONS))
         raise UserError(f"schema_version is {version}; FluidsNet reads {versions}.")
     for field in fields(Header):
