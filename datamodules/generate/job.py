@@ -36,6 +36,9 @@ PARAMETERS: dict[SolverName, dict[str, float]] = {
     "DFSPH": {"maxIterations": 100, "maxError": 0.05, "maxIterationsV": 100, "maxErrorV": 0.1},
 }
 
+#: Parameters that SPlisHSPlasH has for pressure solvers and that have no default here.
+FURTHER_PARAMETERS = ("minIterations", "enableDivergenceSolver", "velocityUpdateMethod")
+
 #: Default time step of each pressure solver, s. In a step of WCSPH, which has no pressure
 #: solve, sound (19 m/s at its stiffness) may cross 0.4 of a particle.
 SOLVER_STEPS = {

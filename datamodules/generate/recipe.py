@@ -11,7 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from datamodules.generate.bodies import Vector
-from datamodules.generate.job import PARAMETERS, SOLVER_STEPS, DrawnJob, Job, SolverName
+from datamodules.generate.job import (
+    FURTHER_PARAMETERS,
+    PARAMETERS,
+    SOLVER_STEPS,
+    DrawnJob,
+    Job,
+    SolverName,
+)
 from datamodules.generate.scenes import DrawnScene, SceneKind
 from datamodules.generate.symmetry import Symmetries
 from datamodules.schema import SPLITS, Header, SceneAttributes
@@ -72,6 +79,17 @@ class Recipe:
             raise UserError(f"particle_radius is {self.particle_radius}; it must be above zero.")
         if not 0 < self.scale < math.inf:
             raise UserError(f"scale is {self.scale}; it must be above zero.")
+        for name, least in (("viscosity", 0.0), ("density0", 1e-30)):
+            if not least <= getattr(self, name) < math.inf:
+                bound = "at least" if least == 0 else "above"
+                raise UserError(f"{name} is {getattr(self, name)}; it must be {bound} zero.")
+        known = {*PARAMETERS[self.solver], *FURTHER_PARAMETERS}
+        for name in self.solver_parameters or {}:
+            if name not in known:
+                raise UserError(
+                    f"solver_parameters has {name}, which {self.solver} does not know; it knows "
+                    f"{', '.join(sorted(known))}."
+                )
         for name, least in (("frames", 2), *((split, 0) for split in SPLITS)):
             if getattr(self, name) < least:
                 raise UserError(f"{name} is {getattr(self, name)}; it must be at least {least}.")
