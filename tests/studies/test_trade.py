@@ -22,10 +22,12 @@ from fluidsnet.errors import UserError
 from fluidsnet.main import main
 from fluidsnet.priors import PressureStep
 from fluidsnet.studies.parser import study_parser
-from fluidsnet.studies.trade.command import Study
 from fluidsnet.studies.trade.measure import measure
+from fluidsnet.studies.trade.model_points import ModelSteps
 from fluidsnet.studies.trade.options import ModelPoint, SolverPoint, TradeOptions
-from fluidsnet.studies.trade.points import Continued, Cost, ModelSteps, Point, Runs, Solver
+from fluidsnet.studies.trade.points import Continued, Cost, Point, Runs
+from fluidsnet.studies.trade.solver_points import Solver
+from fluidsnet.studies.trade.study import Study
 
 PRIOR = Path(__file__).parents[2] / "configs" / "model" / "prior.yaml"
 CORRECTED = PRIOR.with_name("corrected.yaml")
