@@ -78,13 +78,15 @@ def hoverable(figure: Figure, rows: Sequence[Row]) -> str:
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": "fluidsnet"}):
         figure.savefig(text, format="svg", metadata={"Date": None})
     shown = [row for row in rows if row.kind in _LOOKS and row.measured]
-    titles = [
-        f"<title>{escape(f'{row.label}: {row.cpu:.3g} CPU s and {row.wall:.3g} s for a second')}"
-        "</title>"
-        for row in shown
-    ]
-    svg = text.getvalue()
-    svg = re.sub(rf'(<g id="{_NAME}(\d+)-\w+">)', lambda it: it[1] + titles[int(it[2])], svg)
+
+    def told(found: re.Match[str]) -> str:
+        row, result, frames = shown[int(found[2])], found[3], int(found[4])
+        error = row.mean(result, frames)
+        measured = f"{100 * error:.3g} %" if result == "misplaced" else f"{error:.3g} mm"
+        title = f"{row.label}: {measured}; {row.cpu:.3g} CPU s, {row.wall:.3g} s for a second"
+        return f"{found[1]}<title>{escape(title)}</title>"
+
+    svg = re.sub(rf'(<g id="{_NAME}(\d+)-(\w+)-(\d+)">)', told, text.getvalue())
     return svg[svg.index("<svg") :]
 
 
@@ -99,7 +101,7 @@ def _panel(axes: Axes, shown: Sequence[Row], result: str, frames: int, factor: f
         planes.setdefault(row.kind, {})[row.label] = (cost, error)
         axes.plot([cost, cost], [min(values), max(values)], color=color, linewidth=1)
         (drawn,) = axes.plot([cost], [error], color=color, marker=marker, **_POINT)
-        drawn.set_gid(f"{_NAME}{number}-{result}")
+        drawn.set_gid(f"{_NAME}{number}-{result}-{frames}")
         axes.annotate(str(number + 1), (cost, error), (5, 3), color=color, **_NUMBER)
     for kind, plane in planes.items():
         front = [plane[label] for label in pareto(plane)]

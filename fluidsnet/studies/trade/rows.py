@@ -58,7 +58,7 @@ class Row:
     @property
     def spoiled(self) -> bool:
         """Whether other processes took part of a core meanwhile, so that times are not trusted."""
-        return any(it.others > BUSY for it in self.measured.values())
+        return self.kind != "trivial" and any(it.others > BUSY for it in self.measured.values())
 
     def values(self, result: str, frames: int) -> list[float]:
         """Return a result after some frames in each simulation that has it."""
