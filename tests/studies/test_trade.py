@@ -169,7 +169,7 @@ def test_a_study(drops: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert all(0 < it < 0.1 * values[careless, "rollout_mm", 12][0] for it in moved)
     assert min(values[careful, "memory_mb", 1]) > 1 and min(values[careful, "setup_s", 1]) > 0
     page = (tmp_path / "trade.html").read_text()
-    assert f"<title>{careless}: " in page and "After 0.24 s of a rollout" in page
+    assert f"<title>{careless}: " in page and "0.24 s into a rollout, " in page
     # The finished study answers questions; limits from its own table.
     errors = {label: np.mean(values[label, "rollout_mm", 12]) for label in (careful, careless)}
     costs = {

@@ -91,19 +91,19 @@ def hoverable(figure: Figure, rows: Sequence[Row]) -> str:
 
 
 def _panel(axes: Axes, shown: Sequence[Row], result: str, frames: int, factor: float) -> None:
-    planes: dict[str, dict[str, tuple[float, float]]] = {}
+    drawn_planes: dict[str, dict[str, tuple[float, float]]] = {}
     for number, row in enumerate(shown):
         color, marker = _LOOKS[row.kind]
         cost, error = row.cpu, factor * row.mean(result, frames)
         if not math.isfinite(error):
             continue
         values = [factor * value for value in row.values(result, frames)]
-        planes.setdefault(row.kind, {})[row.label] = (cost, error)
+        drawn_planes.setdefault(row.kind, {})[row.label] = (cost, error)
         axes.plot([cost, cost], [min(values), max(values)], color=color, linewidth=1)
         (drawn,) = axes.plot([cost], [error], color=color, marker=marker, **_POINT)
         drawn.set_gid(f"{_NAME}{number}-{result}-{frames}")
         axes.annotate(str(number + 1), (cost, error), (5, 3), color=color, **_NUMBER)
-    for kind, plane in planes.items():
+    for kind, plane in drawn_planes.items():
         front = [plane[label] for label in pareto(plane)]
         axes.plot(*zip(*front, strict=True), color=_LOOKS[kind][0], linewidth=0.7, zorder=1)
     axes.set(xscale="log", yscale="log", xlabel="CPU s for a second of fluid")

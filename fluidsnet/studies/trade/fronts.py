@@ -60,28 +60,25 @@ def compare(own: Plane, rival: Plane) -> Comparison:
     return Comparison(faster, closer, [label for label in both if label in own])
 
 
-def sentences(planes: Mapping[str, Plane], after: str) -> list[str]:
+def sentences(planes: Mapping[str, Plane], when: str) -> list[str]:
     """Return what speed costs: each kind of models against the solver, in words.
 
     Args:
         planes: Points of the kinds "solver", "prior alone" and "network".
-        after: Where the error was measured, such as "after 1 s of a rollout".
+        when: Where the error was measured, such as "1 s into a rollout".
     """
     solver, told = planes.get("solver", {}), []
-    for kind, name in (("prior alone", "prior alone"), ("network", "network")):
+    for kind, name in (("prior alone", "priors alone"), ("network", "networks")):
         own = planes.get(kind, {})
-        if not own:
+        if not own or not any(map(_is_finite, solver.values())):
             continue
-        if not any(map(_is_finite, solver.values())):
-            continue
-        found = compare(own, solver)
+        found, front = compare(own, solver), len(pareto(solver))
         if not found.on_front:
             told.append(
-                f"{after.capitalize()}, no {name} lies on the front: for each there is a setting "
-                "of the solver that costs no more and errs no more."
+                f"{when}, no {kind} lies on the front: for each there is a setting of the solver "
+                "that costs no more and errs no more."
             )
             continue
-        front = len(pareto(solver))
         parts = []
         if found.faster:
             reached = len(found.faster)
@@ -100,19 +97,16 @@ def sentences(planes: Mapping[str, Plane], after: str) -> list[str]:
         if cheaper:
             parts.append(f"{len(cheaper)} of them cost less than any setting of the solver")
         told.append(
-            f"{after.capitalize()}, {len(found.on_front)} of {len(own)} points of the kind {name} "
-            f"lie on the front of all: {'; '.join(parts)}."
+            f"{when}, {len(found.on_front)} of {len(own)} {name} are beaten by no setting of the "
+            f"solver: {'; '.join(parts)}."
         )
     networks, priors = planes.get("network", {}), planes.get("prior alone", {})
     if networks and priors:
         better = compare(networks, priors).on_front
         told.append(
-            f"{after.capitalize()}, "
-            + (
-                f"{', '.join(better)} beat the priors alone at their cost."
-                if better
-                else "no network beats the priors alone at its cost."
-            )
+            f"{when}, {', '.join(better)} beat the priors alone at their cost."
+            if better
+            else f"{when}, no network beats the priors alone at its cost."
         )
     return told
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from fluidsnet.reporting.table import Cell, markdown, write_csv
 from fluidsnet.studies.trade.fronts import sentences
 from fluidsnet.studies.trade.options import TradeOptions
-from fluidsnet.studies.trade.rows import Row, floor, planes
+from fluidsnet.studies.trade.rows import Row, floor, planes, useless
 
 #: File with the rows, for `fluidsnet trade recommend`.
 ROWS = "trade.json"
@@ -83,23 +83,35 @@ def write_report(
 
 
 def answers(options: TradeOptions, rows: Sequence[Row]) -> list[str]:
-    """Return the sentences on what speed costs, from true states and at each mark above chaos."""
+    """Return the sentences on what speed costs, from true states and at two marks of a rollout."""
     interval = rows[0].interval if rows else 0.0
-    told = sentences(
-        planes(rows, "error_mm", options.horizon),
-        f"after {options.horizon} frames from true states",
-    )
-    for mark in sorted(options.marks):
-        after = f"after {mark * interval:g} s of a rollout"
-        points, chaos = planes(rows, "rollout_mm", mark), floor(rows, "rollout_mm", mark)
-        errors = [error for plane in points.values() for _, error in plane.values()]
-        least = min(filter(math.isfinite, errors), default=math.nan)
-        if least < 1.5 * chaos:
+    marks = sorted(options.marks)
+    seconds = options.horizon * interval
+    places = [("error_mm", options.horizon, f"{1000 * seconds:g} ms after true states")]
+    places += [
+        ("rollout_mm", mark, f"{mark * interval:g} s into a rollout")
+        for mark in dict.fromkeys((marks[len(marks) // 2], marks[-1]))
+    ]
+    told = []
+    for result, frames, when in places:
+        points, chaos = planes(rows, result, frames), floor(rows, result, frames)
+        told += sentences(points, when)
+        if left := useless(rows, result, frames):
             told.append(
-                f"{after.capitalize()}, the least error of a point, {least:.3g} mm, is not above "
-                f"the floor of chaos, {chaos:.3g} mm, by half: points near it cannot be told apart."
+                f"{when}, these err no less than a trivial predictor, which costs nothing, and are "
+                f"left out: {', '.join(left)}."
             )
-        told += sentences(points, after)
+        near = [
+            label
+            for kind, plane in points.items()
+            for label, (_, error) in plane.items()
+            if kind != "solver" and error < 1.2 * chaos
+        ]
+        if near:
+            told.append(
+                f"{when}, the floor of chaos is {chaos:.3g} mm, and {len(near)} points err less "
+                "than a fifth more than that: they cannot be told apart."
+            )
     return told
 
 

@@ -81,13 +81,30 @@ class Row:
 
 
 def planes(rows: Sequence[Row], result: str, frames: int) -> dict[str, dict[str, Any]]:
-    """Return cost and error of the points that have both, by kind and label."""
+    """Return cost and error of the points that have both, by kind and label.
+
+    Points that err no less than a trivial predictor, which costs nothing, are left out.
+    """
     found: dict[str, dict[str, Any]] = {}
+    trivial = [row.mean(result, frames) for row in rows if row.kind == "trivial"]
+    most = min((error for error in trivial if math.isfinite(error)), default=math.inf)
     for row in rows:
         error = row.mean(result, frames)
-        if not math.isnan(error) and row.kind not in ("trivial", "floor"):
+        if error < most and row.kind not in ("trivial", "floor"):
             found.setdefault(row.kind, {})[row.label] = (row.cpu, error)
     return found
+
+
+def useless(rows: Sequence[Row], result: str, frames: int) -> list[str]:
+    """Return the labels of the points that `planes` leaves out, though they have an error."""
+    kept = {label for plane in planes(rows, result, frames).values() for label in plane}
+    return [
+        row.label
+        for row in rows
+        if row.kind not in ("trivial", "floor")
+        and row.label not in kept
+        and not math.isnan(row.mean(result, frames))
+    ]
 
 
 def floor(rows: Sequence[Row], result: str, frames: int) -> float:
