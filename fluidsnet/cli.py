@@ -167,6 +167,11 @@ def run(arguments: list[str]) -> None:
         # Lightning would exit with status 0.
         print("fluidsnet: terminated.", file=sys.stderr)
         sys.exit(128 + signal.SIGTERM)
+    except SystemExit as ended:
+        # Lightning turns Ctrl-C into status 1.
+        if isinstance(ended.__context__, KeyboardInterrupt):
+            raise ended.__context__ from None
+        raise
     except MisconfigurationException as error:
         raise UserError(str(error)) from error
     except RuntimeError as error:

@@ -6,11 +6,12 @@ import json
 import math
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import datetime
 from hashlib import sha256
 from pathlib import Path
+from typing import TypeVar
 
 from jinja2 import Environment, PackageLoader
 
@@ -31,6 +32,8 @@ from fluidsnet.studies.trade.report import EXPLANATION, write_report
 from fluidsnet.studies.trade.rows import Row
 from fluidsnet.studies.trade.solver_points import Solver, check_drawn, floors
 from fluidsnet.studies.training import Training
+
+T = TypeVar("T")
 
 #: Options that change what is measured of a point.
 _MEASURE = ("every", "horizon", "steps", "marks")
@@ -119,14 +122,18 @@ class Study:
                 kind=point.kind,
                 advice=point.advice,
                 interval=self._reader.header.dt,
-                measured=self.results[point.label],
-                failed=self.failed[point.label],
+                measured=self._in_order(self.results[point.label]),
+                failed=self._in_order(self.failed[point.label]),
                 training=self._training.get(
                     point.label, math.nan if point.kind == "network" else 0.0
                 ),
             )
             for point in self.points
         ]
+
+    def _in_order(self, values: Mapping[str, T]) -> dict[str, T]:
+        """Return values by simulation in the order of the file; tasks end in any order."""
+        return {name: values[name] for name in self._simulations if name in values}
 
     def write(self) -> None:
         """Write tables, figure and page."""
