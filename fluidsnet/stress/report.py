@@ -33,7 +33,7 @@ EXPLANATION = (
     "the two."
 )
 
-_COLORS = {"stable": "C0", "degrades": "C1", "blows up": "C3", "fails": "gray"}
+_VERDICTS = ("stable", "degrades", "blows up", "fails")
 
 #: Outcomes by case and by who made them: "model", "prior" or "solver".
 Outcomes = Mapping[str, Mapping[str, Outcome]]
@@ -56,7 +56,7 @@ def write_report(
     folder.mkdir(parents=True, exist_ok=True)
     write_csv(folder / "stress.csv", HEADER, rows)
     verdicts = [made["model"].verdict for made in outcomes.values()]
-    counts = ", ".join(f"{verdicts.count(name)} {name}" for name in _COLORS if name in verdicts)
+    counts = ", ".join(f"{verdicts.count(name)} {name}" for name in _VERDICTS if name in verdicts)
     blocks = ["# Stress", *notes, f"{len(verdicts)} cases: {counts}.", markdown(HEADER, rows)]
     reasons = [
         f"- {case}, {by}: {it.reason}"
@@ -111,7 +111,7 @@ def _cells(case: str, by: str, it: Outcome) -> list[Cell]:
 
 
 def _draw(path: Path, outcomes: Outcomes) -> None:
-    """Draw the total energy of each case over its steps, over that of the start."""
+    """Draw the total energy of each case over its steps, over that of the start; gray where stable."""
     figure = Figure(figsize=(9, 5), layout="constrained")
     axes = figure.subplots()
     for case, made in outcomes.items():
@@ -122,9 +122,10 @@ def _draw(path: Path, outcomes: Outcomes) -> None:
         scale = max(abs(total[0]), 1e-30)
         steps = [max(step, 0.5) for step, *_ in it.course]
         values = [min(max(value / scale, 1e-3), 1e3) for value in total]
-        (line,) = axes.plot(steps, values, color=_COLORS[it.verdict], linewidth=1)
-        if it.verdict != "stable":
-            line.set_label(f"{case}: {it.verdict}")
+        if it.verdict == "stable":
+            axes.plot(steps, values, color="lightgray", linewidth=1, zorder=1)
+        else:
+            axes.plot(steps, values, linewidth=1, label=f"{case}: {it.verdict}")
     axes.set(xscale="log", yscale="log", xlabel="step")
     axes.set_ylabel("total energy over that of the start")
     axes.axhline(1.0, color="black", linewidth=0.5, linestyle=":")
