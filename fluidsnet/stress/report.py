@@ -111,7 +111,7 @@ def _cells(case: str, by: str, it: Outcome) -> list[Cell]:
 
 
 def _draw(path: Path, outcomes: Outcomes) -> None:
-    """Draw the total energy of each case over its steps, over that of the start; gray where stable."""
+    """Draw the total energy of each case over that of its start; gray where it is stable."""
     figure = Figure(figsize=(9, 5), layout="constrained")
     axes = figure.subplots()
     for case, made in outcomes.items():
