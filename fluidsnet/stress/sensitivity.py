@@ -1,4 +1,4 @@
-"""How far precision and small changes of the start carry a rollout away."""
+"""Distance of rollouts in other precisions, or from slightly other starts."""
 
 from __future__ import annotations
 
@@ -114,7 +114,6 @@ def _marks(steps: int) -> list[int]:
 def _distances(
     places: dict[int, torch.Tensor], truth: dict[int, torch.Tensor], start: Particles
 ) -> list[float]:
-
     def distance(step: int) -> float:
         if step not in places:
             return torch.inf

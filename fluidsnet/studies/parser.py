@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NoReturn
+from collections.abc import Sequence
+from typing import NoReturn, TypeVar
 
 from jsonargparse import ArgumentParser
 
 from fluidsnet.errors import UserError
+
+T = TypeVar("T")
 
 
 class Parser(ArgumentParser):
@@ -23,3 +26,15 @@ def study_parser(command: str, description: str, options: type) -> Parser:
     parser.add_argument("--config", action="config", help="a file with these options")
     parser.add_class_arguments(options)
     return parser
+
+
+def parse_options(command: str, description: str, options: type[T], arguments: Sequence[str]) -> T:
+    """Return the options of a study's command from its command line.
+
+    Raises:
+        UserError: An argument cannot be used.
+    """
+    parser = study_parser(command, description, options)
+    parsed = vars(parser.instantiate(parser.parse_args(list(arguments))))
+    parsed.pop("config")
+    return options(**parsed)

@@ -18,7 +18,7 @@ from datamodules.generate.solver import load_solver
 from fluidsnet.progress import Progress
 from fluidsnet.studies.dam_break import Dam
 from fluidsnet.studies.machine import BUSY, OtherLoad, cpu_model, versions
-from fluidsnet.studies.parser import study_parser
+from fluidsnet.studies.parser import parse_options
 from fluidsnet.studies.speed.floor import step_floor
 from fluidsnet.studies.speed.measure import load_model
 from fluidsnet.studies.speed.report import Report, Row
@@ -34,7 +34,7 @@ def speed_command(arguments: list[str]) -> None:
     Raises:
         UserError: An option cannot be used, or the solver is needed and not installed.
     """
-    parser = study_parser(
+    options = parse_options(
         "speed",
         "Measure the time of one network step against the number of particles, and that of "
         "SPlisHSPlasH on the same scenes with as many threads. The scenes are dam breaks whose "
@@ -42,10 +42,9 @@ def speed_command(arguments: list[str]) -> None:
         "after each measurement. Run nothing else meanwhile. "
         "A first try: fluidsnet speed --particles [1000,30000]",
         SpeedOptions,
+        arguments,
     )
-    parsed = vars(parser.parse_args(arguments))
-    parsed.pop("config")
-    study = Study(SpeedOptions(**parsed))
+    study = Study(options)
     shutil.rmtree(study.work, ignore_errors=True)
     study.work.mkdir(parents=True)
     try:

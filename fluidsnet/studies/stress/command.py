@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import final
@@ -28,7 +28,7 @@ from fluidsnet.stress.sensitivity import (
     precision_rows,
 )
 from fluidsnet.studies.machine import cores, cpu_model, versions
-from fluidsnet.studies.parser import study_parser
+from fluidsnet.studies.parser import parse_options
 from fluidsnet.studies.stress.solver import solver_states
 
 
@@ -81,17 +81,15 @@ def stress_command(arguments: list[str]) -> None:
         UserError: An option cannot be used, the model cannot be loaded, or the solver is needed
             and not installed.
     """
-    parser = study_parser(
+    options = parse_options(
         "stress",
         "Roll a model out in hard cases (rest, depth, other time steps, speeds, viscosities and "
         "gravities, few particles, none, wrong places, other units and precisions), beside its "
         "prior and the solver, and say where it is stable, degrades or blows up. "
         "A first try: fluidsnet stress --run box_drops --rest_steps 500",
         StressOptions,
+        arguments,
     )
-    parsed = vars(parser.parse_args(arguments))
-    parsed.pop("config")
-    options = StressOptions(**parsed)
     if options.solver is not None:
         load_solver()
     folder = Path(options.output or Path("runs") / "stress" / Path(options.run).stem)
@@ -158,7 +156,7 @@ def _by_solver(
 
 def _tables(model: Model, setting: Setting, options: StressOptions) -> list[Table]:
     """Return the tables of precisions and of the growth of small changes."""
-    start, steps = dam(replace(setting)), min(options.steps, 100)
+    start, steps = dam(setting), min(options.steps, 100)
 
     def run(noise: float) -> Iterable[Particles]:
         return model_states(model, moved(start, noise), steps, lambda: None)

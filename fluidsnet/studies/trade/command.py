@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fluidsnet.studies.parser import study_parser
+from fluidsnet.studies.parser import parse_options
 from fluidsnet.studies.trade.options import TradeOptions
 from fluidsnet.studies.trade.recommend import recommend_command
 from fluidsnet.studies.trade.study import Study
@@ -17,7 +17,7 @@ def trade_command(arguments: list[str]) -> None:
     if arguments[:1] == ["recommend"]:
         recommend_command(arguments[1:])
         return
-    parser = study_parser(
+    options = parse_options(
         "trade",
         "Measure error and cost of models, of priors, and of SPlisHSPlasH with steps and "
         "tolerances of your choice, from the same true states and along the same rollouts. "
@@ -26,10 +26,9 @@ def trade_command(arguments: list[str]) -> None:
         "A first try: fluidsnet trade --data data/box_drops/test.h5 --models "
         '"[{model: box_drops}]" --quick true',
         TradeOptions,
+        arguments,
     )
-    parsed = vars(parser.instantiate(parser.parse_args(arguments)))
-    parsed.pop("config")
-    study = Study(TradeOptions(**parsed))
+    study = Study(options)
     study.run()
     print((study.folder / "trade.md").read_text(encoding="utf-8"))
     print(f"Written to {study.folder}: trade.html, trade.md, trade.csv and trade.png.")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fluidsnet.errors import UserError
-from fluidsnet.studies.parser import study_parser
+from fluidsnet.studies.parser import parse_options
 from fluidsnet.studies.trade.measure import Measured
 from fluidsnet.studies.trade.report import ROWS
 from fluidsnet.studies.trade.rows import Row, floor
@@ -48,15 +48,13 @@ def recommend_command(arguments: list[str]) -> None:
     Raises:
         UserError: There is no finished study, or none of its points keeps the limits.
     """
-    parser = study_parser(
+    options = parse_options(
         "trade recommend",
         "Name the model, the prior or the solver setting of a finished study that keeps a limit "
         "of error or time at the least cost or error.",
         RecommendOptions,
+        arguments,
     )
-    parsed = vars(parser.parse_args(arguments))
-    parsed.pop("config")
-    options = RecommendOptions(**parsed)
     rows, marks = read_rows(Path(options.study))
     print(recommend(options, rows, marks))
 

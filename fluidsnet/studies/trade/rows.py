@@ -57,7 +57,7 @@ class Row:
 
     @property
     def spoiled(self) -> bool:
-        """Whether other processes took part of a core meanwhile, so that times are not trusted."""
+        """Return True where others took part of a core meanwhile: its times are not trusted."""
         return self.kind != "trivial" and any(it.others > BUSY for it in self.measured.values())
 
     def values(self, result: str, frames: int) -> list[float]:

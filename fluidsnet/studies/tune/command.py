@@ -19,7 +19,7 @@ from fluidsnet.priors import Prior
 from fluidsnet.progress import Progress
 from fluidsnet.reporting.table import markdown, write_csv
 from fluidsnet.studies.machine import cores
-from fluidsnet.studies.parser import study_parser
+from fluidsnet.studies.parser import parse_options
 from fluidsnet.studies.tune.objective import Errors, Objective
 
 #: Size of the first changes.
@@ -72,7 +72,7 @@ def tune_command(arguments: list[str]) -> None:
     Raises:
         UserError: An option cannot be used, or the data or the config cannot be read.
     """
-    parser = study_parser(
+    options = parse_options(
         "tune",
         "Fit a few numbers of a prior to data by the simplex method of Nelder and Mead: the mean "
         "logarithm of its errors after one step, after two and at the end of a rollout, and of "
@@ -80,10 +80,8 @@ def tune_command(arguments: list[str]) -> None:
         "as the config has them. Tune on training data, and compare on others: "
         "fluidsnet trade --models '[{model: runs/tune/prior.yaml}]'",
         TuneOptions,
+        arguments,
     )
-    parsed = vars(parser.instantiate(parser.parse_args(arguments)))
-    parsed.pop("config")
-    options = TuneOptions(**parsed)
     torch.set_num_threads(options.threads)
     found = Fit(options)
     found.run()
