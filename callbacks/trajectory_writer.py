@@ -25,8 +25,7 @@ class TrajectoryWriter(Callback, RolloutObserver):
     The temporal VTKHDF file has `velocity` (m/s) and `position_error` (mm) at the points. Its field
     data, one number per step, are the mean distances from the truth `position_error_mm` of the
     model, `integrator_floor_mm`, `constant_velocity_mm` and `ballistic_mm`, and the share
-    `escaped`; see `errors`. All but the velocity are NaN past the truth's end. The first step is
-    the start.
+    `escaped`; see `errors`. Distances are NaN past the truth's end. The first step is the start.
     """
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
@@ -39,8 +38,9 @@ class TrajectoryWriter(Callback, RolloutObserver):
         path = self._folder / "rollouts" / f"{start.name}.vtkhdf"
         self._file = TrajectoryFile(path, particles=len(start.state))
         self._file.__enter__()
-        zeros = dict.fromkeys((*_ERRORS.values(), "escaped"), 0.0)
-        self._append(0, start.state, start.state, zeros)
+        zeros = dict.fromkeys(_ERRORS.values(), 0.0)
+        outside = {"escaped": float(escaped(start.state))}
+        self._append(0, start.state, start.state, zeros | outside)
 
     def on_rollout_step(
         self, start: RolloutStart, step: int, states: Mapping[str, Particles]
@@ -73,12 +73,13 @@ class TrajectoryWriter(Callback, RolloutObserver):
 def errors(states: Mapping[str, Particles]) -> dict[str, float]:
     """Return the field data of a step, for the states that a `RolloutObserver` receives.
 
-    Values that are not finite are inf; without the state of "truth" all are NaN.
+    Values that are not finite are inf; without the state of "truth" distances are NaN.
     """
+    outside = escaped(states["model"])
     if "truth" not in states:
-        return dict.fromkeys((*_ERRORS.values(), "escaped"), torch.nan)
+        return dict.fromkeys(_ERRORS.values(), torch.nan) | {"escaped": float(outside)}
     true = states["truth"].position
     distances = [distance_mm(states[name].position, true).mean() for name in _ERRORS]
-    values = torch.stack([*distances, escaped(states["model"])])
+    values = torch.stack([*distances, outside])
     values = torch.nan_to_num(values, nan=torch.inf, posinf=torch.inf)
     return dict(zip((*_ERRORS.values(), "escaped"), values.tolist(), strict=True))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from datamodules.schema import DAMAGE, Header, SceneAttributes, open_valid, simulations
 from datamodules.suspicions import Suspicions
+from fluidsnet.checksums import verify
 from fluidsnet.errors import UserError
 from fluidsnet.progress import Progress
 
@@ -63,9 +64,10 @@ def describe(path: Path) -> str:
     """Return a summary of a file as text.
 
     Raises:
-        UserError: the file is not valid, or damaged.
+        UserError: the file is not valid, damaged, or not that of its checksum.
     """
     with open_valid(path) as file:
+        verify(path)
         header = Header.read(file)
         try:
             reports = [inspect_simulation(file[name], header) for name in simulations(file)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from dataclasses import replace
 from functools import cached_property
@@ -16,6 +15,7 @@ from torch import Tensor
 
 from datamodules.schema import DAMAGE, LENGTHS, Header, SceneAttributes, open_valid, simulations
 from datamodules.values import NO_ORIGIN, Vector, as_tensor, check_finite, origin_of
+from fluidsnet.checksums import sha256_of, verify
 from fluidsnet.errors import UserError
 from fluidsnet.particles import Particles
 from fluidsnet.scene import Scene
@@ -35,8 +35,8 @@ class FrameReader:
         frames: Number of frames of each simulation, by name, in order of names.
 
     Raises:
-        UserError: the file is missing, damaged or not a data file, or has a simulation that
-            FluidsNet cannot step: a periodic one.
+        UserError: the file is missing, damaged, not a data file or not that of its checksum, or has
+            a simulation that FluidsNet cannot step: a periodic one.
     """
 
     def __init__(self, path: Path) -> None:
@@ -51,6 +51,7 @@ class FrameReader:
         self._origins: dict[str, Vector] = {}
         self.frames: dict[str, int] = {}
         with open_valid(path) as file:
+            verify(path)
             self.header = Header.read(file)
             for name in simulations(file):
                 radius = self.header.particle_radius
@@ -65,8 +66,7 @@ class FrameReader:
     @cached_property
     def sha256(self) -> str:
         """SHA-256 hash of the file, in hexadecimal."""
-        with self.path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        return sha256_of(self.path)
 
     def scene(self, simulation: str, stride: int) -> Scene:
         """Return the scene of a simulation for steps of this many frames, always the same object.

@@ -10,14 +10,15 @@ from typing import Any, Literal
 
 import torch
 from lightning import LightningDataModule
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, Sampler
 
 from datamodules.augmentation import Augmentation
 from datamodules.needs import grid_shape, varying
+from datamodules.order import TrainingOrder, each_once, progress_of
 from datamodules.reader import FrameReader
 from datamodules.rollout_starts import HDF5RolloutStarts
 from datamodules.schema import SPLITS
-from datamodules.transitions import Sample, TransitionDataset, each_once, samples_in, statistics
+from datamodules.transitions import Sample, TransitionDataset, samples_in, statistics
 from fluidsnet.errors import UserError
 from fluidsnet.particles import RolloutStart, Transitions
 from fluidsnet.scene import Scene
@@ -188,7 +189,10 @@ class SPHDataModule(LightningDataModule):
             self.augmentation.check(self.scenes)
 
     def train_dataloader(self) -> DataLoader[Transitions]:
-        return self._loader("train", shuffle=True)
+        dataset = self._dataset("train", self.steps)
+        dataset.augmentation = self.augmentation
+        epoch, batches = progress_of(self.trainer)
+        return self._load(dataset, TrainingOrder(dataset, epoch, batches * self.batch_size))
 
     def val_dataloader(self) -> DataLoader[Transitions]:
         return self._loader("val")
@@ -229,18 +233,18 @@ class SPHDataModule(LightningDataModule):
         for reader in self._readers.values():
             reader.close()
 
-    def _loader(self, split: str, shuffle: bool = False) -> DataLoader[Transitions]:
+    def _loader(self, split: str) -> DataLoader[Transitions]:
         dataset = self._dataset(split, self._steps(split))
-        if split == "train":
-            dataset.augmentation = self.augmentation
+        return self._load(dataset, each_once(dataset))
+
+    def _load(self, dataset: TransitionDataset, order: Sampler[Any] | None) -> DataLoader[Any]:
         # Workers may be forked, and must not inherit an open file.
         for reader in self._readers.values():
             reader.close()
         return DataLoader(
             dataset,
             batch_size=self.batch_size,
-            shuffle=shuffle,
-            sampler=None if shuffle else each_once(dataset),
+            sampler=order,
             collate_fn=Transitions.collate,
             num_workers=self.workers,
             persistent_workers=self.workers > 0,

@@ -1,20 +1,19 @@
-"""Dataset of transitions, its statistics, and the sampler that evaluates each item once."""
+"""Dataset of transitions, and its statistics."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence, Sized
+from collections.abc import Sequence
 from typing import NamedTuple, final
 
 import torch
-from lightning.pytorch.overrides.distributed import UnrepeatedDistributedSampler
-from torch import distributed
 from torch.utils.data import Dataset
 
 from datamodules.augmentation import Augmentation
+from datamodules.order import Draw
 from datamodules.reader import FrameReader
-from fluidsnet.errors import UserError
 from fluidsnet.particles import SolidStates, Transitions
+from fluidsnet.rng import preserve_rng_state
 from fluidsnet.scene import Scene
 from fluidsnet.statistics import Statistics
 
@@ -80,7 +79,8 @@ class TransitionDataset(Dataset[Transitions]):
         simulations = dict.fromkeys((sample.reader, sample.simulation) for sample in self.samples)
         return [reader.scene(name, self.stride) for reader, name in simulations]
 
-    def __getitem__(self, index: int) -> Transitions:
+    def __getitem__(self, draw: int | Draw) -> Transitions:
+        index, seed = draw if isinstance(draw, Draw) else (draw, None)
         sample = self.samples[index]
         reader, simulation = sample.reader, sample.simulation
         state = reader.state(simulation, sample.frame, self.stride)
@@ -93,7 +93,12 @@ class TransitionDataset(Dataset[Transitions]):
             simulation=torch.tensor([self._numbers[reader.path, simulation]]),
             solids=self._solids(reader, simulation, frames),
         )
-        return transitions if self.augmentation is None else self.augmentation(transitions)
+        if self.augmentation is None:
+            return transitions
+        with preserve_rng_state():
+            if seed is not None:
+                torch.default_generator.manual_seed(seed)
+            return self.augmentation(transitions)
 
     def _solids(
         self, reader: FrameReader, simulation: str, frames: Sequence[int]
@@ -130,22 +135,3 @@ def statistics(dataset: TransitionDataset) -> Statistics:
     return Statistics(
         means[0], deviations[0], means[1], deviations[1], deviations[2], least, greatest
     )
-
-
-def each_once(dataset: Sized) -> UnrepeatedDistributedSampler | None:
-    """Return a sampler that gives each item to exactly one process; None for one process.
-
-    Lightning would repeat the first items until every process has as many, and count them twice.
-
-    Raises:
-        UserError: there are fewer items than processes.
-    """
-    if not (distributed.is_available() and distributed.is_initialized()):
-        return None
-    processes = distributed.get_world_size()
-    if len(dataset) < processes:
-        raise UserError(
-            f"There are {processes} processes and only {len(dataset)} samples or simulations, "
-            "and each process needs one; set trainer.devices to fewer."
-        )
-    return UnrepeatedDistributedSampler(dataset, shuffle=False)

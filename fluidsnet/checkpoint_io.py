@@ -10,6 +10,7 @@ from typing import Any, final
 import torch
 from lightning.fabric.plugins import TorchCheckpointIO
 
+from fluidsnet.checksums import verify
 from fluidsnet.errors import UserError
 
 
@@ -53,12 +54,14 @@ class WholeCheckpoints(TorchCheckpointIO):
         """Read a checkpoint onto the CPU.
 
         Raises:
-            UserError: It is not a file, is damaged, or holds other objects than weights.
+            UserError: It is not a file, is damaged, holds other objects than weights, or is not
+                that of its checksum.
         """
         if "://" in str(path):
             raise UserError(f"--ckpt_path {path} is an address; download the file and name that.")
         if not Path(path).is_file():
             raise UserError(f"--ckpt_path {path}: there is no such file.")
+        verify(Path(path))
         try:
             read: dict[str, Any] = torch.load(
                 path, map_location=map_location or "cpu", weights_only=True

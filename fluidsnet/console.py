@@ -18,6 +18,8 @@ _WARNINGS = (
     "Checkpoint directory .* exists and is not empty.*",
     ".*could not find the monitored key in the returned metrics.*",  # no validation yet
     "Experiment logs directory .* exists and is not empty.*",
+    # The order of samples is resumed (datamodules/order.py).
+    ".*a checkpoint that ended before the epoch ended and your dataloader is not resumable.*",
     "The number of training batches .* is smaller than the logging interval.*",
 )
 # Matched at the start of a log message. `RunSummary` prints device, model and folder instead.

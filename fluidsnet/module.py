@@ -27,7 +27,8 @@ from fluidsnet.model import Model
 from fluidsnet.one_step import OneStepErrors
 from fluidsnet.optimization import adam, clip_each, total_steps
 from fluidsnet.particles import Particles, RolloutStart, Transitions
-from fluidsnet.rng import with_same_rng
+from fluidsnet.resume import end_epoch
+from fluidsnet.rng import derived_seed, with_same_rng
 from fluidsnet.rollout import RolloutObserver, reference_rollout, rollout
 from fluidsnet.schedule import HalfwayDrop
 
@@ -39,6 +40,8 @@ NEEDS = ("grid_shape", "dimension", "varying")
 
 # Key of the schedule's steps in a checkpoint.
 _SCHEDULED = "fluidsnet_schedule_steps"
+# State of a learning rate schedule that says where it is; `lr_lambdas` are its functions' own.
+_PLACE = {"last_epoch", "_step_count", "_last_lr", "lr_lambdas"}
 # Steps between two looks at the loss on a GPU.
 _LOOK_EVERY = 50
 _DIVERGED = (
@@ -58,6 +61,8 @@ class FluidsNet(LightningModule):
             domain and voxel size.
         optimizer: Optimizer; Adam at 0.003 by default (section 5.3).
         schedule: Learning rate schedule; by default 1/20 of the rate in the second half.
+        stretch_schedule: Stretch the schedule of a resumed run over the steps that it has now; by
+            default it goes on as it began, and past its end the rate stays.
         warm_up: Steps that each training sample is advanced by the model before those that it
             learns from; fewer than the data's `steps`.
         dimension: Dimensions of the scenes, 2 or 3; linked to the data.
@@ -74,6 +79,7 @@ class FluidsNet(LightningModule):
         grid_shape: tuple[int, int, int],
         optimizer: OptimizerCallable | None = None,
         schedule: ScheduleCallable | None = None,
+        stretch_schedule: bool = False,
         warm_up: int = 0,
         dimension: int = 3,
         varying: Sequence[str] = (),
@@ -89,6 +95,7 @@ class FluidsNet(LightningModule):
         self.warm_up = warm_up
         self.optimizer = optimizer or adam
         self.schedule = schedule or HalfwayDrop
+        self.stretch_schedule = stretch_schedule
         # A metric, since Lightning's mean over processes is wrong where one has more frames.
         self.validation_loss = TargetError()
         self.validation = torch.nn.ModuleDict({"model": OneStepErrors()})
@@ -96,7 +103,7 @@ class FluidsNet(LightningModule):
             {name: OneStepErrors() for name in ("model", *TRIVIAL_PREDICTORS)}
         )
         self._resuming = False
-        # Steps of the learning rate schedule, which a resumed run takes from its checkpoint.
+        # Steps of the learning rate schedule; 0 until they are known.
         self._scheduled = 0
 
     @property
@@ -125,7 +132,7 @@ class FluidsNet(LightningModule):
     # Lightning's hooks, in the order they are called.
 
     def setup(self, stage: str) -> None:
-        self._resuming = stage == "fit"
+        self._resuming, self._scheduled = stage == "fit", 0
         data: Any = self._data_module()
         for model in self.named_models().values():
             model.check_scenes(data.scenes)
@@ -143,9 +150,13 @@ class FluidsNet(LightningModule):
             )
 
     def on_fit_start(self) -> None:
-        if self.global_rank:
-            # Processes share a seed, and must not share noise, mirrors and empty cells.
-            torch.manual_seed(torch.initial_seed() + self.global_rank)
+        self._seed = torch.initial_seed()
+
+    def on_train_batch_start(self, batch: Transitions, batch_index: int) -> None:
+        # Noise and empty cells of a step do not depend on what was drawn before, so that a resumed
+        # run goes on as it would have; processes share a seed and must not share them.
+        step = self.trainer.fit_loop.total_batch_idx
+        torch.manual_seed(derived_seed(self._seed, self.global_rank, step))
 
     def configure_optimizers(self) -> Any:
         groups: list[dict[str, Any]] = [
@@ -156,7 +167,8 @@ class FluidsNet(LightningModule):
             # A name would be a part of the learning rate's tag.
             del groups[0]["name"]
         optimizer = self.optimizer(groups)
-        self._scheduled = total_steps(self)
+        # A resumed checkpoint has been read.
+        self._scheduled = self._scheduled or total_steps(self)
         scheduler = self.schedule(optimizer, self._scheduled)
         return {
             "optimizer": optimizer,
@@ -270,9 +282,17 @@ class FluidsNet(LightningModule):
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         migrate(checkpoint)
-        if self._resuming:
-            # Its scheduler is restored, too, with what it was built for.
-            self._scheduled = checkpoint.get(_SCHEDULED, self._scheduled)
+        if self._resuming and "loops" in checkpoint:
+            end_epoch(checkpoint["loops"]["fit_loop"])
+        if self._resuming and self.stretch_schedule:
+            for state in checkpoint.get("lr_schedulers", ()):
+                if "_schedulers" in state:
+                    raise UserError("model.stretch_schedule: a chain of schedules has no length.")
+                # Its place is restored, the steps that it was made for are not.
+                for name in state.keys() - _PLACE:
+                    del state[name]
+        elif self._resuming:
+            self._scheduled = checkpoint.get(_SCHEDULED, 0)
         # What varies is a fact of the training data; those at hand may have no training split.
         varying = tuple(checkpoint.get("hyper_parameters", {}).get("varying", ()))
         for name, model in self.named_models().items():

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TypeVar
 
+import numpy as np
 import torch
 
 T = TypeVar("T")
@@ -40,3 +41,13 @@ def with_same_rng(device: torch.device, calls: Sequence[Callable[[], T]]) -> lis
         with preserve_rng_state(device):
             results.append(call())
     return [last(), *results]
+
+
+def derived_seed(*numbers: int) -> int:
+    """Return a seed that depends on numbers, such as a seed, a process and a step.
+
+    Args:
+        numbers: Not negative.
+    """
+    # PyTorch's generator on the CPU uses the lower 32 bits, and sequences need 63.
+    return int(np.random.SeedSequence(numbers).generate_state(1)[0])

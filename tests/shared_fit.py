@@ -29,12 +29,13 @@ from callbacks import (
     TrajectoryWriter,
 )
 from datamodules import SPHDataModule
-from datamodules.transitions import each_once
+from datamodules.order import each_once
 from fluidsnet import FluidsNet
 from fluidsnet.errors import UserError
 from fluidsnet.features import GlobalVector
 from fluidsnet.features.norm import BatchNorm
 from fluidsnet.loss import mean_square
+from fluidsnet.rng import preserve_rng_state
 from fluidsnet.target import AccelerationTarget
 
 #: Frames of a step, of all processes together.
@@ -53,9 +54,13 @@ class Watched(FluidsNet):
     """FluidsNet that keeps the logged losses, the numbers of particles and a random number."""
 
     def on_train_start(self) -> None:
-        self.drawn = float(torch.rand((), device=self.device))
         self.losses: list[float] = []
         self.sizes: list[int] = []
+
+    def on_train_batch_start(self, batch: Any, batch_index: int) -> None:
+        super().on_train_batch_start(batch, batch_index)
+        with preserve_rng_state(self.device):
+            self.drawn = float(torch.rand((), device=self.device))
 
     def on_train_batch_end(self, outputs: Any, batch: Any, batch_idx: int) -> None:
         self.losses.append(float(self.trainer.callback_metrics["train/loss"]))

@@ -13,6 +13,7 @@ RANKS = {
     "fluidsnet.batch": 0,
     "fluidsnet.cache": 0,
     "fluidsnet.checkpoint_io": 12,
+    "fluidsnet.checksums": 1,
     "fluidsnet.compile_cache": 0,
     "fluidsnet.console": 0,
     "fluidsnet.deprecated": 0,
@@ -20,6 +21,7 @@ RANKS = {
     "fluidsnet.errors": 0,
     "fluidsnet.memory": 0,
     "fluidsnet.progress": 0,
+    "fluidsnet.resume": 0,
     "fluidsnet.rng": 0,
     "fluidsnet.same_settings": 0,
     "fluidsnet.statistics": 0,
@@ -68,9 +70,11 @@ RANKS = {
 
 #: All that the data modules may know of the rest.
 KNOWN_TO_DATA = {
+    "fluidsnet.checksums",
     "fluidsnet.errors",
     "fluidsnet.particles",
     "fluidsnet.progress",
+    "fluidsnet.rng",
     "fluidsnet.scene",
     "fluidsnet.statistics",
 }

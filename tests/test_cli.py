@@ -567,6 +567,28 @@ def test_a_resumed_schedule_stays_where_it_ended(run: Run, tmp_path: Path) -> No
     assert rate() == pytest.approx(1e-5)
 
 
+@pytest.mark.parametrize("stretched", [False, True])
+def test_a_resumed_schedule_is_stretched_on_purpose(
+    stretched: bool, run: Run, tmp_path: Path
+) -> None:
+    run("fit", TRAINER, PAPER, SAMPLE, more=("--trainer.limit_train_batches=4",))
+    folder = tmp_path / "run"
+    main(
+        [
+            *("fit", f"--config={folder / 'config.yaml'}", "--ckpt_path=last"),
+            *("--trainer.max_steps=12", "--trainer.max_epochs=-1", "--trainer.log_every_n_steps=1"),
+            *("--trainer.enable_progress_bar=false", "--trainer.limit_val_batches=0"),
+            f"--model.init_args.stretch_schedule={stretched}",
+        ]
+    )
+    events = EventAccumulator(str(folder))
+    events.Reload()
+    rates = [event.value for event in events.Scalars("train/learning_rate")][-8:]
+    # The first step has the rate of the checkpoint; full until half of the steps are done.
+    expected = [0.00015, 0.003 if stretched else 0.00015, *[0.00015] * 6]
+    assert rates == pytest.approx(expected)
+
+
 def killed(
     arguments: list[str], number: signal.Signals, folder: Path, sign: str, size: int
 ) -> tuple[int, str]:

@@ -14,9 +14,11 @@ from torch import Tensor, nn
 from datamodules.augmentation import BoxSymmetry
 from fluidsnet.features import KernelMessages, NoGlobalFeature, VoxelField
 from fluidsnet.integrator import Displacement, Trapezoid
+from fluidsnet.kernels import disabled
 from fluidsnet.metrics.density import Density
 from fluidsnet.metrics.positions import escaped
 from fluidsnet.model import Model
+from fluidsnet.models import load
 from fluidsnet.neighbors import Auto, BruteForce, CellList, TorchCluster
 from fluidsnet.particles import Particles, Transitions
 from fluidsnet.scene import Scene
@@ -251,6 +253,55 @@ def test_all_searches_find_the_same_neighbors(drawn: Numbers, which: int) -> Non
         for it in (found, expected)
     ]
     assert pairs[0] == pairs[1]
+
+
+def degenerate(drawn: Numbers, extent: tuple[int, int, int], shift: float) -> Particles:
+    """Return a frame whose fluid is a point, a line or a sheet, half of it twice, and solids on it.
+
+    Args:
+        drawn: Frame to change.
+        extent: Axes along which the fluid is spread.
+        shift: Edges of the box by which the fluid is moved along x.
+    """
+    frame = drawn.frame()
+    place = frame.position[0] + (frame.position - frame.position[0]) * torch.tensor(extent)
+    place[: len(place) // 2] = place[len(place) - len(place) // 2 :].clone()
+    solid = frame.solid_position.clone()
+    reached = min(len(solid), len(place))
+    solid[:reached] = place[:reached]
+    place[:, 0] += shift * drawn.edges[0]
+    return replace(frame, position=place, solid_position=solid)
+
+
+clouds = given(
+    numbers(radius=0.025),
+    st.sampled_from([(0, 0, 0), (1, 0, 0), (1, 0, 1)]),
+    st.sampled_from([0.0, 2.0]),
+)
+
+
+@models
+@clouds
+@generated
+def test_degenerate_clouds_step_to_the_same_state_by_kernels_and_torch(
+    name: str, drawn: Numbers, extent: tuple[int, int, int], shift: float
+) -> None:
+    frame, model = degenerate(drawn, extent, shift), trained(name)
+    found = model.step(frame)
+    assert found.position.isfinite().all() and found.velocity.isfinite().all()
+    with disabled():
+        assert_close(found, model.step(frame), atol=1e-4)
+
+
+@clouds
+@generated
+def test_degenerate_clouds_stay_finite_in_the_pressure_step(
+    drawn: Numbers, extent: tuple[int, int, int], shift: float
+) -> None:
+    model, state = load("box_drops"), degenerate(drawn, extent, shift)
+    for _ in range(3):
+        state = model.step(state)
+    assert state.position.isfinite().all() and state.velocity.isfinite().all()
 
 
 @given(numbers(), st.integers(0, 2))

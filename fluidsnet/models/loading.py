@@ -5,13 +5,13 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import Any
 
 import torch
 import yaml
 from jsonargparse import ArgumentParser
 
+from fluidsnet.checkpoint_io import WholeCheckpoints
 from fluidsnet.checkpoint_migration import migrate
 from fluidsnet.deprecated import with_current_names
 from fluidsnet.errors import UserError
@@ -123,15 +123,14 @@ def read_checkpoint(folder: Path) -> dict[str, Any]:
     """Read the checkpoint of a run; weights and plain settings only, on the CPU.
 
     Raises:
-        UserError: There is none, or it is damaged.
+        UserError: There is none, it is damaged, or not that of its checksum.
     """
-    # Nothing else is unpickled: a checkpoint may come from someone else.
     path = checkpoint_path(folder)
+    checkpoint = WholeCheckpoints().load_checkpoint(path)
     try:
-        checkpoint: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
         migrate(checkpoint)
-    except (OSError, EOFError, RuntimeError, KeyError, UnpicklingError) as error:
-        raise UserError(f"{path} cannot be read; it is damaged or no checkpoint.") from error
+    except (TypeError, KeyError, AttributeError) as error:
+        raise UserError(f"{path} cannot be read; it is no checkpoint of FluidsNet.") from error
     return checkpoint
 
 

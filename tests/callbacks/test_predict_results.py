@@ -148,6 +148,7 @@ def test_a_rollout_without_a_truth_is_written_and_drawn_alone(
     fields = read_field_data(run / "rollouts" / "00000.vtkhdf")
     assert len(fields["time"]) == 5
     assert np.isnan(fields["position_error_mm"][1:]).all()
+    assert np.isfinite(fields["escaped"]).all()
     assert np.isnan(read_frame(run / "rollouts" / "00000.vtkhdf", 4)[1]["position_error"]).all()
     # Three rows of one column in place of two.
     known = results(sample, tmp_path / "known", RolloutPicture(), rollout_steps=4)

@@ -12,6 +12,7 @@ from datamodules.inspection import describe
 from datamodules.needs import grid_shape, varying
 from datamodules.reader import FrameReader
 from datamodules.schema import SPLITS
+from fluidsnet.checksums import write_checksums
 from fluidsnet.errors import UserError
 from fluidsnet.models import load
 from fluidsnet.models.loading import build, config_path, has_weights
@@ -25,7 +26,8 @@ from fluidsnet.studies.plan.parts import Part, parts_of
 _DESCRIPTION = """
 Print a summary of data files, and warn of suspicious values in them. With --model, print what a
 model builds for the scene of a data file and what it leaves out, with the weights of each part and
-its share of the time and memory of a step on this machine.
+its share of the time and memory of a step on this machine. With --hash, write SHA-256 checksums of
+data files and checkpoints beside them, which are verified whenever these are read.
 """
 
 
@@ -47,6 +49,11 @@ def inspect_command(arguments: list[str]) -> None:
     parser.add_argument("--stride", type=int, default=1, help="frames from a state to the next")
     parser.add_argument("--frame", type=int, default=0, help="frame that is stepped")
     parser.add_argument(
+        "--hash",
+        action="store_true",
+        help="write checksums of the files, or of all .h5 and .ckpt in folders, to SHA256SUMS",
+    )
+    parser.add_argument(
         "--voxel-size",
         type=float,
         help="edge of a cell of the background grid, m; by default the support radius",
@@ -55,6 +62,10 @@ def inspect_command(arguments: list[str]) -> None:
     if options.model is None:
         if not options.files:
             raise UserError("name a data file, such as data/demo/train.h5.")
+        if options.hash:
+            for sums in write_checksums(_hashed(options.files)):
+                print(sums)
+            return
         for file in _all_files(options.files):
             print(describe(file))
         return
@@ -77,6 +88,22 @@ def _all_files(paths: Sequence[Path]) -> list[Path]:
         if not present:
             raise UserError(f"{path} holds none of train.h5, val.h5 and test.h5.")
         found += present
+    return found
+
+
+def _hashed(paths: Sequence[Path]) -> list[Path]:
+    """Return files, and the data files and checkpoints in folders.
+
+    Raises:
+        UserError: There are none.
+    """
+    found: list[Path] = []
+    for path in paths:
+        kinds = (".h5", ".ckpt")
+        files = [it for it in path.rglob("*") if it.suffix in kinds] if path.is_dir() else [path]
+        if not files or not files[0].is_file():
+            raise UserError(f"{path}: there is no such file, or no data file or checkpoint in it.")
+        found += sorted(files)
     return found
 
 
