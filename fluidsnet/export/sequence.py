@@ -16,9 +16,9 @@ class SequenceFolder:
 
     The files are ``<name>/<name>.0000.ply``, ``<name>.0001.ply`` and so on, and
     ``<name>/<name>.ply.series`` has their times, in the JSON format for series of ParaView. They
-    are written to ``<name>.tmp``, which is renamed when the ``with`` block ends, and removed if an
-    exception ends it. An older sequence of that name is replaced; a folder with any other file is
-    refused.
+    are written to a hidden folder beside it, which is renamed when the ``with`` block ends, and
+    removed if an exception ends it. An older sequence of that name is replaced; a folder with any
+    other file is refused.
 
     Args:
         folder: Path of the folder.
@@ -32,9 +32,12 @@ class SequenceFolder:
     """
 
     def __init__(self, folder: Path, suffix: str) -> None:
+        folder = folder.resolve()
         self.folder, self.suffix = folder, suffix
         self._times: dict[str, float] = {}
-        self._temporary = folder.with_name(folder.name + ".tmp")
+        self._temporary, self._older = (
+            folder.with_name(f".{folder.name}.{os.getpid()}.{kind}") for kind in ("tmp", "old")
+        )
         self.replaced = folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
         if self.replaced and not _is_sequence(folder):
             raise UserError(
@@ -44,9 +47,6 @@ class SequenceFolder:
 
     def __enter__(self) -> Self:
         try:
-            if self._temporary.exists():
-                # Of an export that was killed.
-                shutil.rmtree(self._temporary)
             self._temporary.mkdir(parents=True)
         except OSError as error:
             raise UserError(f"{self.folder}: cannot be written: {error}.") from error
@@ -70,11 +70,10 @@ class SequenceFolder:
         series = {"file-series-version": "1.0", "files": files}
         path = self._temporary / f"{self.folder.name}{self.suffix}.series"
         path.write_text(json.dumps(series, indent=1) + "\n")
-        older = self.folder.with_name(self.folder.name + ".old")
         if self.folder.exists():
-            os.replace(self.folder, older)
+            os.replace(self.folder, self._older)
         os.replace(self._temporary, self.folder)
-        shutil.rmtree(older, ignore_errors=True)
+        shutil.rmtree(self._older, ignore_errors=True)
 
 
 def _is_sequence(folder: Path) -> bool:

@@ -106,10 +106,11 @@ def export(source: Path, options: ExportOptions) -> str:
         UserError: As `export_command`.
     """
     frames = _frames(source, options)
-    if options.to == "usd":
-        replaced = _write_usd(frames, options)
-    else:
-        replaced = _write_sequence(frames, options)
+    write = _write_usd if options.to == "usd" else _write_sequence
+    try:
+        replaced = write(frames, options)
+    except OSError as error:
+        raise UserError(f"{options.output}: cannot be written: {error}.") from error
     older = "; it replaces an older export" if replaced else ""
     return f"{options.output}: {len(frames)} frames of {frames.name}{older}."
 
