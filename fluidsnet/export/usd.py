@@ -96,19 +96,25 @@ class UsdFile:
             self._append_surface(code, surface)
         self._written += 1
         if self._written % _SAVE_EVERY == 0:
-            self._stage.Save()
+            self._save()
 
     def __exit__(self, kind: type[BaseException] | None, *exception: object) -> None:
         try:
             if kind is None:
-                self._stage.Save()
+                self._save()
+                os.replace(self._temporary, self.path)
         finally:
             # Closes the file.
             self._points = self._mesh = self._root = self._stage = None
-            if kind is not None:
-                self._temporary.unlink(missing_ok=True)
-        if kind is None:
-            os.replace(self._temporary, self.path)
+            self._temporary.unlink(missing_ok=True)
+
+    def _save(self) -> None:
+        try:
+            self._stage.Save()
+        except self._pxr["Tf"].ErrorException as error:
+            raise UserError(
+                f"{self.path}: cannot be written: USD could not save it; is the disk full?"
+            ) from error
 
     def _code(self, time: Any) -> NDArray[np.float64]:
         # Rounded so that the codes of regular frames are whole.
@@ -161,7 +167,7 @@ class UsdFile:
             prim.GetExtentAttr().Set(vectors.FromNumpy(box.astype(np.float32)), code)
 
 
-_MODULES = ("Gf", "Usd", "UsdGeom", "Vt")
+_MODULES = ("Gf", "Tf", "Usd", "UsdGeom", "Vt")
 
 
 def up_axis(gravity: tuple[float, float, float]) -> str:
