@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
+import subprocess
 import sys
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
 
+import fluidsnet
 from fluidsnet.export import TrajectoryFile
 from fluidsnet.main import main
 from fluidsnet.studies.export.data_file import data_frames
@@ -105,6 +108,28 @@ def test_a_usd_file_with_a_surface(
     for name in ("particles", "surface"):
         prim = UsdGeom.PointBased(stage.GetPrimAtPath(f"/fluid/{name}"))
         assert prim.GetPointsAttr().GetTimeSamples() == pytest.approx(codes)
+
+
+@pytest.mark.parametrize(
+    ("limit", "options"),
+    [(100, ["--to", "usd", "--output", "a.usdc"]), (12, ["--to", "surface", "--output", "a"])],
+)
+def test_a_full_disk_is_one_sentence(
+    source: str, limit: int, options: list[str], tmp_path: Path
+) -> None:
+    # A limit of the size of files, KiB, stands for the disk.
+    command = [sys.executable, "-m", "fluidsnet.main", "export", source, *options]
+    run = f"ulimit -f {limit}; exec {shlex.join(command)} --workers 1"
+    result = subprocess.run(
+        ["bash", "-c", run],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(Path(fluidsnet.__file__).parents[1])},
+        capture_output=True,
+        text=True,
+    )
+    assert result.returncode == 1
+    assert "cannot be written" in result.stderr and "Traceback" not in result.stderr
+    assert os.listdir(tmp_path) == []
 
 
 @pytest.mark.parametrize(
