@@ -19,6 +19,9 @@ _SAVE_EVERY = 8
 
 _SUFFIXES = (".usdc", ".usd")
 
+#: Documentation of the root layer, by which the files of this class are known.
+_DOCUMENTATION = "Particles of a fluid, written by FluidsNet."
+
 
 class UsdFile:
     """Writer of a USD file, frame by frame; memory does not grow with the number of frames.
@@ -31,16 +34,20 @@ class UsdFile:
         /fluid/surface     UsdGeomMesh: points, triangles, normals, velocities per time code
 
     Meters per unit is 1, and a time code is the time (s) × time codes per second. The file is
-    binary, written beside its path under a temporary name and renamed over an older one when the
-    ``with`` block ends; an exception removes it.
+    binary, written beside its path under a temporary name and renamed over an older one of this
+    class when the ``with`` block ends; an exception removes it.
 
     Args:
         path: Path of the file; it must end in .usdc or .usd.
         frames: Frames that will be written.
         rate: Time codes per second; by default a frame is a time code.
 
+    Attributes:
+        replaced: True if an older file is replaced.
+
     Raises:
-        UserError: usd-core is not installed, or the path or rate cannot be used.
+        UserError: usd-core is not installed, the path is a file that another program wrote, or the
+            path or rate cannot be used.
     """
 
     def __init__(self, path: Path, frames: Frames, rate: float | None = None) -> None:
@@ -54,6 +61,12 @@ class UsdFile:
         self._rate = rate or frame_rate(frames)
         self._temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp.usdc")
         self._pxr = {name: load_optional(f"pxr.{name}", "usd-core") for name in _MODULES}
+        self.replaced = path.exists()
+        if self.replaced and not self._is_export():
+            raise UserError(
+                f"{path} exists and was not written by this command; choose another --output, or "
+                "move it."
+            )
         self._origin: NDArray[np.float64] = np.zeros(3)
         self._stage: Any = None
         self._points: Any = None
@@ -69,6 +82,7 @@ class UsdFile:
         except OSError as error:
             raise UserError(f"{self.path}: cannot be written: {error}.") from error
         self._stage = stage = usd.Stage.CreateNew(str(self._temporary))
+        stage.GetRootLayer().documentation = _DOCUMENTATION
         geometry.SetStageUpAxis(stage, up_axis(self._frames.gravity))
         geometry.SetStageMetersPerUnit(stage, 1.0)
         stage.SetTimeCodesPerSecond(self._rate)
@@ -107,6 +121,14 @@ class UsdFile:
             # Closes the file.
             self._points = self._mesh = self._root = self._stage = None
             self._temporary.unlink(missing_ok=True)
+
+    def _is_export(self) -> bool:
+        """Return True if the existing file is one of this class."""
+        try:
+            layer = self._pxr["Sdf"].Layer.OpenAsAnonymous(str(self.path), metadataOnly=True)
+        except self._pxr["Tf"].ErrorException:
+            return False
+        return layer is not None and layer.documentation == _DOCUMENTATION
 
     def _save(self) -> None:
         try:
@@ -167,7 +189,7 @@ class UsdFile:
             prim.GetExtentAttr().Set(vectors.FromNumpy(box.astype(np.float32)), code)
 
 
-_MODULES = ("Gf", "Tf", "Usd", "UsdGeom", "Vt")
+_MODULES = ("Gf", "Sdf", "Tf", "Usd", "UsdGeom", "Vt")
 
 
 def up_axis(gravity: tuple[float, float, float]) -> str:

@@ -104,6 +104,19 @@ def test_an_exception_leaves_the_older_file(simulation: Frames, tmp_path: Path) 
     assert path.read_bytes() == before
 
 
+def test_a_file_of_another_program_is_refused(simulation: Frames, tmp_path: Path) -> None:
+    path = tmp_path / "a.usdc"
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.Sphere.Define(stage, "/mine")
+    stage.Save()
+    (tmp_path / "b.usd").write_text("not USD")
+    for path in tmp_path.iterdir():
+        before = path.read_bytes()
+        with pytest.raises(UserError, match="not written by this command"):
+            UsdFile(path, simulation)
+        assert path.read_bytes() == before
+
+
 def test_a_state_that_blew_up_is_kept_as_it_is(tmp_path: Path) -> None:
     position = np.full((3, 3), np.nan, np.float32)
     frame = Frame.of(0.5, position, position)

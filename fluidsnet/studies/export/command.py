@@ -131,7 +131,6 @@ def _frames(source: Path, options: ExportOptions) -> Frames:
 def _write_usd(frames: Frames, options: ExportOptions) -> bool:
     """Write a USD file; return True if there was one."""
     frames.radius()
-    replaced = options.output.exists()
     with UsdFile(options.output, frames, options.fps) as file:
         if options.surface:
             meshes = surfaces(frames, options.mesh, options.workers)
@@ -140,7 +139,7 @@ def _write_usd(frames: Frames, options: ExportOptions) -> bool:
         else:
             for frame in _shown(frames, len(frames)):
                 file.append(frame)
-    return replaced
+    return file.replaced
 
 
 def _write_sequence(frames: Frames, options: ExportOptions) -> bool:
