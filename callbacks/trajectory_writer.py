@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import torch
 from lightning import Callback, LightningModule, Trainer
+from numpy.typing import ArrayLike
 
 from fluidsnet.baselines import Baselines
 from fluidsnet.export.vtkhdf import TrajectoryFile
@@ -26,6 +27,7 @@ class TrajectoryWriter(Callback, RolloutObserver):
     data, one number per step, are the mean distances from the truth `position_error_mm` of the
     model, `integrator_floor_mm`, `constant_velocity_mm` and `ballistic_mm`, and the share
     `escaped`; see `errors`. Distances are NaN past the truth's end. The first step is the start.
+    Attributes of the file are the scene's `particle_radius` (m), `gravity` (m/s²) and `dimension`.
     """
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
@@ -36,7 +38,13 @@ class TrajectoryWriter(Callback, RolloutObserver):
     def on_rollout_start(self, start: RolloutStart) -> None:
         """Open the file and write the first state."""
         path = self._folder / "rollouts" / f"{start.name}.vtkhdf"
-        self._file = TrajectoryFile(path, particles=len(start.state))
+        scene = start.state.scene
+        attributes: dict[str, ArrayLike] = {
+            "particle_radius": scene.particle_radius,
+            "gravity": scene.gravity[0].tolist(),
+            "dimension": scene.dimension,
+        }
+        self._file = TrajectoryFile(path, len(start.state), attributes)
         self._file.__enter__()
         zeros = dict.fromkeys(_ERRORS.values(), 0.0)
         outside = {"escaped": float(escaped(start.state))}

@@ -23,6 +23,7 @@ experiments (settings come from YAML files: --config FILE, repeated; later files
   validate   measure a trained network on the validation data
   test       measure a trained network on the test data and compare it with simple baselines
   predict    simulate with a trained network and write files for ParaView
+  export     write a rollout or a simulation as USD, PLY, BGEO or surface meshes
 
 studies and reports:
   speed      compare the time per step of a network and of the SPH solver
@@ -52,6 +53,7 @@ _COMMANDS = {
     "validate": ("fluidsnet.cli", "run"),
     "test": ("fluidsnet.cli", "run"),
     "predict": ("fluidsnet.cli", "run"),
+    "export": ("fluidsnet.studies.export.command", "export_command"),
     "speed": ("fluidsnet.studies.speed.command", "speed_command"),
     "trade": ("fluidsnet.studies.trade.command", "trade_command"),
     "stress": ("fluidsnet.studies.stress.command", "stress_command"),

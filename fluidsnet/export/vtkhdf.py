@@ -2,7 +2,7 @@
 
 Layout, for T steps of N particles::
 
-    /VTKHDF                            attributes: Version, Type = PolyData
+    /VTKHDF                            attributes: Version, Type = PolyData, and those given
     /VTKHDF/Points                     (T·N, 3) float32, m       one step per chunk
     /VTKHDF/PointData/<name>           (T·N,) or (T·N, 3)        one step per chunk
     /VTKHDF/FieldData/<name>           (T,) float64              one number per step
@@ -23,7 +23,7 @@ from typing import Any, Self, TypeAlias
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fluidsnet.errors import UserError
 
@@ -52,15 +52,18 @@ class TrajectoryFile:
     Args:
         path: Path of the file; it must end in ``.vtkhdf``, which ParaView requires.
         particles: N, the same in every step.
+        attributes: Numbers of the whole file, such as ``particle_radius`` (m), by name.
     """
 
-    def __init__(self, path: str | Path, particles: int) -> None:
+    def __init__(
+        self, path: str | Path, particles: int, attributes: Mapping[str, ArrayLike] | None = None
+    ) -> None:
         self.path = Path(path)
         if self.path.suffix != ".vtkhdf":
             raise UserError(f"{path}: the name of a trajectory file must end in .vtkhdf.")
         if particles < 1:
             raise ValueError(f"particles must be at least 1, not {particles}")
-        self.particles = particles
+        self.particles, self._attributes = particles, attributes or {}
         self._temporary = self.path.with_name(self.path.name + ".tmp")
         self._file: h5py.File | None = None
         self._steps = 0
@@ -73,7 +76,9 @@ class TrajectoryFile:
             self._file = h5py.File(self._temporary, "w")
         except OSError as error:
             raise UserError(f"{self.path}: cannot be written: {error}.") from error
-        _write_static(self._file.create_group("VTKHDF"), self.particles)
+        root = self._file.create_group("VTKHDF")
+        root.attrs.update(self._attributes)
+        _write_static(root, self.particles)
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -191,6 +196,18 @@ def read_field_data(path: str | Path) -> dict[str, NDArray[np.float64]]:
         steps = int(root["Steps"].attrs["NSteps"])
         columns = {"time": root["Steps/Values"], **root.get("FieldData", {})}
         return {name: np.asarray(values[:steps], float) for name, values in columns.items()}
+
+
+def read_attributes(path: str | Path) -> dict[str, Any]:
+    """Read the attributes of the whole file, by name.
+
+    Raises:
+        UserError: the file is not a complete trajectory file.
+    """
+    with _opened(path) as root:
+        return {
+            name: value for name, value in root.attrs.items() if name not in ("Type", "Version")
+        }
 
 
 def _place_type(position: Array) -> type[np.float32 | np.float64]:

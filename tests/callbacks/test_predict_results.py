@@ -31,7 +31,7 @@ from callbacks import (
 from datamodules import SPHDataModule
 from fluidsnet import FluidsNet
 from fluidsnet.errors import UserError
-from fluidsnet.export.vtkhdf import read_field_data, read_frame
+from fluidsnet.export.vtkhdf import read_attributes, read_field_data, read_frame
 from fluidsnet.features import NoGlobalFeature
 from fluidsnet.reporting.rollout_frames import Frame, speed_limit
 
@@ -150,6 +150,10 @@ def test_a_rollout_without_a_truth_is_written_and_drawn_alone(
     assert np.isnan(fields["position_error_mm"][1:]).all()
     assert np.isfinite(fields["escaped"]).all()
     assert np.isnan(read_frame(run / "rollouts" / "00000.vtkhdf", 4)[1]["position_error"]).all()
+    attributes = read_attributes(run / "rollouts" / "00000.vtkhdf")
+    assert attributes["particle_radius"] == pytest.approx(0.06)
+    assert attributes["gravity"] == pytest.approx([0, -9.81, 0])
+    assert attributes["dimension"] == 3
     # Three rows of one column in place of two.
     known = results(sample, tmp_path / "known", RolloutPicture(), rollout_steps=4)
     with Image.open(known / "rollout.png") as picture:

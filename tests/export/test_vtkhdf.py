@@ -18,6 +18,7 @@ from vtkmodules.vtkIOHDF import vtkHDFReader
 
 from fluidsnet.errors import UserError
 from fluidsnet.export import TrajectoryFile, read_field_data, read_frame, vtkhdf
+from fluidsnet.export.vtkhdf import read_attributes
 
 N = 37
 STEPS = 5
@@ -92,6 +93,19 @@ def test_vtk_offers_the_times(tmp_path: Path) -> None:
     key = reader.GetExecutive().TIME_STEPS()
     times = reader.GetOutputInformation(0).Get(key)
     np.testing.assert_allclose(times, [time(step) for step in range(STEPS)])
+
+
+def test_attributes_are_kept_and_vtk_reads_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "rollout.vtkhdf"
+    attributes = {"particle_radius": 0.025, "gravity": [0.0, -9.81, 0.0]}
+    with TrajectoryFile(path, N, attributes) as file:
+        file.append(0.0, *state(0))
+    found = read_attributes(path)
+    assert set(found) == set(attributes)
+    for name, value in attributes.items():
+        np.testing.assert_array_equal(found[name], value)
+    output = vtk_step(vtk_reader(path), 0)
+    np.testing.assert_array_equal(array(output.GetPoints().GetData()), state(0)[0])
 
 
 def test_h5py_reads_what_was_written(tmp_path: Path) -> None:

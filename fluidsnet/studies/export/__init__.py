@@ -1,0 +1,1 @@
+"""``fluidsnet export``: simulations as files for Houdini, Blender, Maya and ParaView."""
