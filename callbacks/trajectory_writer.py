@@ -66,7 +66,7 @@ class TrajectoryWriter(Callback, RolloutObserver):
         if true is None:
             distance = torch.full_like(state.position[:, 0], torch.nan)
         else:
-            distance = distance_mm(state.position, true.position)
+            distance = distance_mm(state.position, true.position, true)
         self._file.append(
             step * state.scene.time_step,
             file_places(state.position, state),
@@ -86,8 +86,8 @@ def errors(states: Mapping[str, Particles]) -> dict[str, float]:
     outside = escaped(states["model"])
     if "truth" not in states:
         return dict.fromkeys(_ERRORS.values(), torch.nan) | {"escaped": float(outside)}
-    true = states["truth"].position
-    distances = [distance_mm(states[name].position, true).mean() for name in _ERRORS]
+    true = states["truth"]
+    distances = [distance_mm(states[name].position, true.position, true).mean() for name in _ERRORS]
     values = torch.stack([*distances, outside])
     values = torch.nan_to_num(values, nan=torch.inf, posinf=torch.inf)
     return dict(zip((*_ERRORS.values(), "escaped"), values.tolist(), strict=True))

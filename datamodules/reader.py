@@ -35,8 +35,7 @@ class FrameReader:
         frames: Number of frames of each simulation, by name, in order of names.
 
     Raises:
-        UserError: the file is missing, damaged, not a data file or not that of its checksum, or has
-            a simulation that FluidsNet cannot step: a periodic one.
+        UserError: the file is missing, damaged, not a data file, or not that of its checksum.
     """
 
     def __init__(self, path: Path) -> None:
@@ -57,16 +56,20 @@ class FrameReader:
                 radius = self.header.particle_radius
                 self._attributes[name] = _flat(file[name], radius)
                 self._origins[name] = origin_of(self._attributes[name], radius)
-                if reason := _unsupported(file[name], self._attributes[name]):
-                    raise UserError(f"{path}: {reason}.")
                 self.frames[name] = len(file[name]["position"])
                 if file[name]["solid_position"].ndim == 3:
                     self._moving.add(name)
+        if len({it.periodic for it in self._attributes.values()}) > 1:
+            raise UserError(f"{path}: some simulations have periodic axes that others do not.")
 
     @cached_property
     def sha256(self) -> str:
         """SHA-256 hash of the file, in hexadecimal."""
         return sha256_of(self.path)
+
+    @property
+    def _periodic(self) -> tuple[bool, bool, bool]:
+        return next(iter(self._attributes.values())).periodic
 
     def scene(self, simulation: str, stride: int) -> Scene:
         """Return the scene of a simulation for steps of this many frames, always the same object.
@@ -92,6 +95,7 @@ class FrameReader:
                     name=f"{self.path.stem}/{simulation}",
                     dimension=attributes.dimension,
                     origin=origin,
+                    periodic=attributes.periodic,
                 )
         return self._scenes[simulation, stride]
 
@@ -100,7 +104,7 @@ class FrameReader:
         return [self.scene(simulation, stride) for simulation in self.frames]
 
     def check_same_resolution(self, other: FrameReader) -> None:
-        """Raise a `UserError` if another file has another resolution or frame interval."""
+        """Raise a `UserError` if another file has another resolution, interval or periodicity."""
         for name in LENGTHS:
             value, expected = getattr(self.header, name), getattr(other.header, name)
             if value != expected:
@@ -108,6 +112,8 @@ class FrameReader:
                     f"{self.path}: {name} is {value}, and {expected} in {other.path.name}; "
                     "the files of a data set must have one resolution and frame interval."
                 )
+        if self._periodic != other._periodic:
+            raise UserError(f"{self.path} and {other.path.name} have different periodic axes.")
 
     def fluid(self, simulation: str, frame: int) -> tuple[Tensor, Tensor]:
         """Read position, m, and velocity, m/s, of the fluid particles, each (N, 3)."""
@@ -199,13 +205,6 @@ class SolidTrack:
                 f"known for {known} frames, fewer than {frame + 1}."
             )
         return self.reader.solids(self.simulation, frame)
-
-
-def _unsupported(group: h5py.Group, scene: SceneAttributes) -> str | None:
-    """Return why a simulation cannot be stepped; None if it can."""
-    if any(scene.periodic):
-        return f"{group.name} is periodic; only closed and open domains are supported"
-    return None
 
 
 def _flat(group: h5py.Group, particle_radius: float) -> SceneAttributes:

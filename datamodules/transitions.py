@@ -13,6 +13,7 @@ from datamodules.augmentation import Augmentation
 from datamodules.order import Draw
 from datamodules.reader import FrameReader
 from fluidsnet.particles import SolidStates, Transitions
+from fluidsnet.periodic import shortest
 from fluidsnet.rng import preserve_rng_state
 from fluidsnet.scene import Scene
 from fluidsnet.statistics import Statistics
@@ -119,6 +120,7 @@ def statistics(dataset: TransitionDataset) -> Statistics:
         sample = dataset[index]
         state, velocity = sample.state, sample.state.velocity.double()
         displacement = sample.next_position[0].double() - state.position.double()
+        displacement = shortest(displacement, state)
         change = sample.next_velocity[0].double() - velocity
         drift = (displacement - state.scene.time_step * velocity) / state.scene.support_radius
         rows = torch.stack([velocity, change, drift])

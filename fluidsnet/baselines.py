@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import final
 
-from torch import Tensor
-
 from fluidsnet.integrator import Integrator
 from fluidsnet.particles import Particles
+from fluidsnet.periodic import shortest
 from fluidsnet.target import Motion
 
 
@@ -57,7 +56,7 @@ class Baselines:
             step: Number of the step, counted from 1.
             true: True state after the step.
         """
-        displacement: Tensor = true.position - self._true.position
+        displacement = shortest(true.position - self._true.position, true)
         self._floor = self.integrator(self._floor, Motion(true.velocity, displacement))
         self._true = true
         trivial = (predict(self.start, step) for predict in TRIVIAL_PREDICTORS.values())

@@ -25,6 +25,7 @@ from fluidsnet.neighbors import Auto, NeighborSearch
 from fluidsnet.network import GlobalFeatureFactory, Network
 from fluidsnet.noise import StartNoise
 from fluidsnet.particles import Particles, Transitions
+from fluidsnet.periodic import is_periodic, wrapped
 from fluidsnet.priors import FreeFall, Guess, Prior
 from fluidsnet.rng import preserve_rng_state
 from fluidsnet.scene import Scene
@@ -177,10 +178,11 @@ class Model(nn.Module):
         """Check that one model can step frames of all of these scenes.
 
         Raises:
-            UserError: The global feature is bound to a grid, and the domains differ; or the
-                network was trained in another number of dimensions, or at another value of what
-                did not vary.
+            UserError: The global feature is bound to a grid, and the domains differ; a block does
+                not know periodic axes; or the network was trained in another number of dimensions,
+                or at another value of what did not vary.
         """
+        self._check_periodic(scenes)
         for doubt in self.prior.doubts(scenes) if self.network.reads_guess else ():
             warnings.warn(doubt, stacklevel=2)
         if not self.network.target.width:
@@ -195,6 +197,19 @@ class Model(nn.Module):
                 f"{scenes.names[0]} has {scenes.dimension}; train on such scenes."
             )
         self.network.scene_inputs.check(scenes)
+
+    def _check_periodic(self, scenes: Scene) -> None:
+        if not is_periodic(scenes):
+            return
+        used: list[Any] = [self.network.global_feature] if self.network.target.width else []
+        used += [self.prior] if self.network.reads_guess else []
+        for block in used:
+            if not block.knows_periodic:
+                raise UserError(
+                    f"{scenes.names[0]} has periodic axes, which {type(block).__name__} does not "
+                    "know; use the paper's network (configs/model/paper.yaml), or the prior "
+                    "FreeFall without a VoxelField."
+                )
 
     def _warn_of_unknown(self, scenes: Scene) -> None:
         """Warn of surface tension that a prior alone leaves out."""
@@ -232,7 +247,7 @@ class Model(nn.Module):
             output: (N, target.width).
         """
         motion = self.network.target.decode(output, particles, guess)
-        return self.walls(self.integrator(particles, motion))
+        return wrapped(self.walls(self.integrator(particles, motion)))
 
     def loss(self, batch: Transitions, warm_up: int = 0) -> Tensor:
         """Return the mean squared error of the network output over the batch's steps, ().

@@ -21,6 +21,7 @@ from fluidsnet.features.voxel import GridShape
 from fluidsnet.neighbors.reach import within_reach
 from fluidsnet.neighbors.search import NeighborSearch
 from fluidsnet.particles import Particles
+from fluidsnet.periodic import with_images, wrapped
 from fluidsnet.priors.prior import Guess
 from fluidsnet.statistics import Residuals, Statistics
 from fluidsnet.target import Target
@@ -122,6 +123,7 @@ class Network(nn.Module):
         """
         if self.target.width == 0:
             return particles.position.new_empty(len(particles), 0)
+        particles = wrapped(particles)
         features = self.features(particles, guess)
         if global_feature is None:
             global_feature = self.global_feature(particles, features)
@@ -156,6 +158,7 @@ class Network(nn.Module):
                 moved = particles.moved(guess.position, guess.velocity)
                 at_guess: Tensor = self.local(moved, guess.neighbors, self.inputs, columns)
             return at_guess
+        particles = with_images(particles)
         fused = fused_local(particles, self.neighbors, self.local, self.inputs)
         if fused is not None:
             return fused

@@ -36,6 +36,8 @@ class Particles(Batch):
         frames: Number of frames in the batch.
         scene: Scene with a row for each frame.
         solids_move: Whether a solid particle moves; False saves what motion costs.
+        fluid_image: (M,) bool, solid rows that are images of fluid across a periodic axis; None
+            where there are no images, see `fluidsnet.periodic`.
     """
 
     position: Tensor = field(metadata=ROWS)
@@ -47,6 +49,7 @@ class Particles(Batch):
     frames: int = field(metadata=COUNT)
     scene: Scene = field(metadata=PART)
     solids_move: bool = field(default=False, metadata=ANY)
+    fluid_image: Tensor | None = field(default=None, metadata=OPTIONAL_PART)
 
     @classmethod
     def single(

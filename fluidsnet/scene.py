@@ -38,6 +38,7 @@ class Scene(Batch):
         edges: Edges of each frame's box, m, as numbers on the host, so that boxes are compared
             without a copy from the GPU.
         dimension: 3, or 2 where the third coordinate is constant and has no walls.
+        periodic: Axes along which the box repeats; the sides across them have no walls.
         origins: Point that each frame's coordinates are relative to, m, on the host; none where
             they are as in the file.
     """
@@ -55,6 +56,7 @@ class Scene(Batch):
     edges: tuple[Edges, ...] = field(metadata=ENTRIES)
     dimension: int = field(default=3, metadata=SHARED)
     origins: tuple[Edges, ...] = field(default=(), metadata=ENTRIES)
+    periodic: tuple[bool, bool, bool] = field(default=(False, False, False), metadata=SHARED)
 
     @classmethod
     def single(
@@ -71,6 +73,7 @@ class Scene(Batch):
         name: str = "scene",
         dimension: int = 3,
         origin: Edges = (0.0, 0.0, 0.0),
+        periodic: tuple[bool, bool, bool] = (False, False, False),
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
     ) -> Scene:
@@ -94,6 +97,7 @@ class Scene(Batch):
             edges=((x, y, z),),
             dimension=dimension,
             origins=(origin,),
+            periodic=periodic,
         )
 
     def __len__(self) -> int:
@@ -125,13 +129,14 @@ class Scene(Batch):
         # In a box narrower than two clearances, particles stop in the middle.
         gap = (self.extent / 2).clamp_max(clearance * self.particle_radius)
         lower, upper = self.domain_lower + gap, self.domain_upper - gap
-        if self.dimension == 2:
-            lower[:, 2], upper[:, 2] = -torch.inf, torch.inf
+        for axis, repeats in enumerate(self.periodic):
+            if repeats or axis >= self.dimension:
+                lower[:, axis], upper[:, axis] = -torch.inf, torch.inf
         return lower, upper
 
     def joins(self, other: Scene) -> bool:
         """Return whether frames of both scenes can be one batch of any block."""
-        shared = ("particle_radius", "support_radius", "time_step", "dimension")
+        shared = ("particle_radius", "support_radius", "time_step", "dimension", "periodic")
         return all(getattr(self, name) == getattr(other, name) for name in shared) and all(
             _same(self.edges[0], edges) for edges in (*self.edges, *other.edges)
         )

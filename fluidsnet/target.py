@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from fluidsnet.errors import UserError
 from fluidsnet.particles import Particles
+from fluidsnet.periodic import shortest
 from fluidsnet.priors.prior import Guess
 from fluidsnet.statistics import Residuals, Statistics
 
@@ -161,7 +162,8 @@ class DisplacementTarget(Target):
         self, particles: Particles, guess: Guess, position: Tensor, velocity: Tensor
     ) -> Tensor:
         change = (velocity - guess.velocity) / self.change_deviation
-        return torch.cat([change, (position - guess.position) / self._drift(particles)], dim=1)
+        drift = shortest(position - guess.position, particles)
+        return torch.cat([change, drift / self._drift(particles)], dim=1)
 
     def _drift(self, particles: Particles) -> Tensor:
         """Return the deviation of d in m, ()."""

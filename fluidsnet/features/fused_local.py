@@ -37,6 +37,8 @@ def fused_local(
         and isinstance(local, NeighborMean)
         and isinstance(inputs, ParticleState)
         and use_kernel(local, *state)
+        # Its marker is that of fluid or solid rows.
+        and particles.fluid_image is None
     ):
         return None
     with record_function("sort"):

@@ -22,11 +22,13 @@ class GlobalFeature(nn.Module, ABC):
         width: Number of columns of the feature.
         needs_its_grid: The weights fit only the grid shape they were trained on.
         one_a_frame: All particles of a frame have the same feature.
+        knows_periodic: It takes scenes with periodic axes.
     """
 
     width: int
     needs_its_grid = False
     one_a_frame = False
+    knows_periodic = True
 
     @abstractmethod
     def forward(self, particles: Particles, features: Tensor) -> Tensor:

@@ -92,4 +92,6 @@ class ParticleState(InputFeature):
         velocity = torch.cat([particles.velocity, particles.solid_velocity])
         marker = velocity.new_full((len(velocity), 1), SOLID)
         marker[: len(particles)] = FLUID
+        if particles.fluid_image is not None:
+            marker[len(particles) :][particles.fluid_image] = FLUID
         return torch.cat([velocity / self.velocity_deviation, marker], dim=1)

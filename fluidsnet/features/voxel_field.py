@@ -47,6 +47,8 @@ class VoxelField(GlobalFeature):
         UserError: `levels` or `cell_size` is out of range.
     """
 
+    knows_periodic = False
+
     def __init__(
         self,
         grid_shape: GridShape,

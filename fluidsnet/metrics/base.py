@@ -12,6 +12,7 @@ from torchmetrics import Metric
 from torchmetrics.utilities import dim_zero_cat
 
 from fluidsnet.particles import Particles
+from fluidsnet.periodic import is_periodic
 
 
 class FrameMean(Metric, ABC):
@@ -51,7 +52,7 @@ class RolloutMetric(Metric, ABC):
     """Metric of each step of R rollouts: the mean over a simulation's rollouts, then simulations.
 
     A value that is not finite makes the mean of its step infinite. Steps without a true state are
-    left out. Nothing is copied to the host before `compute`. Under DDP each process updates its
+    left out, and scenes with periodic axes where the metric has no meaning there. Nothing is copied to the host before `compute`. Under DDP each process updates its
     rollouts, and all processes know R.
 
     Args:
@@ -63,12 +64,14 @@ class RolloutMetric(Metric, ABC):
         components: Length of the tensor that `measure` returns.
         costly: True where measuring takes at least as long as a step of a network.
         of_truth: True where the truth has a value of the metric too.
+        knows_periodic: True where it has a meaning in scenes with periodic axes.
     """
 
     names: ClassVar[tuple[str, ...]]
     components: ClassVar[int] = 1
     costly: ClassVar[bool] = False
     of_truth: ClassVar[bool] = False
+    knows_periodic: ClassVar[bool] = False
 
     full_state_update = False
 
@@ -101,6 +104,8 @@ class RolloutMetric(Metric, ABC):
         """
         if predicted.frames != 1:
             raise ValueError(f"a state of a rollout is one frame, not {predicted.frames}")
+        if is_periodic(true.scene) and not self.knows_periodic:
+            return
         measured = self.measure(predicted, true, start).double()
         self.values[rollout, step - 1] = measured.nan_to_num(torch.inf, torch.inf, torch.inf)
         self.known[rollout, step - 1] = 1

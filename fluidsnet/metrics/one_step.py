@@ -35,7 +35,7 @@ class PositionError(FrameMean):
         self, predicted: Tensor, true: Tensor, particles: Particles, simulation: Tensor
     ) -> None:
         """Add a batch of predicted and true positions, (N, 3) m; the rest as for `add`."""
-        self.add(distance_mm(predicted, true), particles, simulation)
+        self.add(distance_mm(predicted, true, particles), particles, simulation)
 
 
 @final

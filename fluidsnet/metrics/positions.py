@@ -10,6 +10,7 @@ from torch import Tensor
 from fluidsnet.metrics.base import RolloutMetric
 from fluidsnet.metrics.velocities import mean_of_squares
 from fluidsnet.particles import Particles
+from fluidsnet.periodic import shortest
 
 
 @final
@@ -19,11 +20,12 @@ class RolloutPositionError(RolloutMetric):
     After one and two steps it is n1 and n2 of Ummenhofer et al. 2020 (CConv).
     """
 
+    knows_periodic = True
     names = ("position_error_mm", "position_error_radii")
     components = 2
 
     def measure(self, predicted: Particles, true: Particles, start: Particles) -> Tensor:
-        error = distance_mm(predicted.position, true.position).mean()
+        error = distance_mm(predicted.position, true.position, true).mean()
         return torch.stack([error, error / (1000 * true.scene.particle_radius)])
 
 
@@ -34,11 +36,13 @@ class MSEn(RolloutMetric):
     As in Toshev et al. 2023 (LagrangeBench), but over fluid particles only.
     """
 
+    knows_periodic = True
     names = ("mse_n_m2",)
 
     def measure(self, predicted: Particles, true: Particles, start: Particles) -> Tensor:
         axes = true.scene.dimension
-        return mean_of_squares(predicted.position - true.position)[None] * (3 / axes)
+        difference = shortest(predicted.position - true.position, true)
+        return mean_of_squares(difference)[None] * (3 / axes)
 
     def finish(self, values: Tensor) -> Tensor:
         steps = torch.arange(1, values.shape[1] + 1, device=values.device)
@@ -71,6 +75,7 @@ class CenterOfMass(RolloutMetric):
 class Escaped(RolloutMetric):
     """Share of the particles more than a radius outside the domain after n steps."""
 
+    knows_periodic = True
     names = ("escaped",)
     of_truth = True
 
@@ -82,6 +87,7 @@ class Escaped(RolloutMetric):
 class NonFinite(RolloutMetric):
     """Share of the rollouts that had a non-finite value within the first n steps."""
 
+    knows_periodic = True
     names = ("non_finite",)
 
     def measure(self, predicted: Particles, true: Particles, start: Particles) -> Tensor:
@@ -107,10 +113,17 @@ class NonFinite(RolloutMetric):
         }
 
 
-def distance_mm(predicted: Tensor, true: Tensor) -> Tensor:
-    """Return the distance of each pair of rows, (N,) float64 mm, of (N, 3) m each."""
+def distance_mm(predicted: Tensor, true: Tensor, particles: Particles) -> Tensor:
+    """Return the distance of each pair of rows, (N,) float64 mm, by the shortest way.
+
+    Args:
+        predicted: (N, 3) m.
+        true: (N, 3) m.
+        particles: State of the same scene.
+    """
     # Subtracting in float32 loses no digits that the inputs have.
-    distance: Tensor = torch.linalg.vector_norm(predicted - true, dim=1, dtype=torch.float64)
+    difference = shortest(predicted - true, particles)
+    distance: Tensor = torch.linalg.vector_norm(difference, dim=1, dtype=torch.float64)
     return 1000 * distance
 
 

@@ -15,6 +15,7 @@ from fluidsnet.particles import Particles
 class RolloutVelocityMSE(RolloutMetric):
     """Mean of (v̂ - v)² per component after n steps, m²/s²."""
 
+    knows_periodic = True
     names = ("velocity_mse",)
 
     def measure(self, predicted: Particles, true: Particles, start: Particles) -> Tensor:
@@ -31,6 +32,7 @@ class KineticEnergy(RolloutMetric):
     energy is per mass, J/kg.
     """
 
+    knows_periodic = True
     names = ("kinetic_energy", "kinetic_energy_j_per_kg")
     components = 2
     of_truth = True

@@ -31,12 +31,14 @@ def within_reach(particles: Particles, neighbors: Neighbors) -> tuple[Particles,
     kept[neighbors.neighbor] = True
     row = kept.cumsum(0) - 1
     solid = kept[count:].nonzero().squeeze(1)
+    image = particles.fluid_image
     return (
         replace(
             particles,
             solid_position=particles.solid_position.index_select(0, solid),
             solid_velocity=particles.solid_velocity.index_select(0, solid),
             solid_frame=particles.solid_frame.index_select(0, solid),
+            fluid_image=None if image is None else image.index_select(0, solid),
         ),
         replace(neighbors, neighbor=row.index_select(0, neighbors.neighbor)),
     )

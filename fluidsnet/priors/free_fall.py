@@ -12,6 +12,7 @@ from fluidsnet.priors.prior import Guess, Prior
 class FreeFall(Prior):
     """Free fall over the step: x' = x + Δt·v + ½Δt²·g and v' = v + Δt·g."""
 
+    knows_periodic = True
     knows = frozenset({"gravity"})
 
     def forward(self, particles: Particles, described: bool = False) -> Guess:

@@ -36,10 +36,12 @@ class Prior(nn.Module, ABC):
 
     Attributes:
         describes: Its guess has neighbors and columns.
+        knows_periodic: It steps scenes with periodic axes.
         knows: Values of the scene that its step depends on, of `fluidsnet.scene.VALUES`.
     """
 
     describes: bool = False
+    knows_periodic: bool = False
     knows: frozenset[str] = frozenset()
 
     @abstractmethod

@@ -190,7 +190,7 @@ def test_solids_that_move_are_read_with_their_frame(write_file: Write) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"periodic": [(False,) * 3, (True, False, False)]}, "/00001 is periodic"),
+        ({"periodic": [(False,) * 3, (True, False, False)]}, "some simulations have periodic axes"),
     ],
 )
 def test_scenes_that_cannot_be_stepped_are_refused(
