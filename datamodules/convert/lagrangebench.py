@@ -1,0 +1,250 @@
+"""LagrangeBench: positions of particles in HDF5 files, beside a ``metadata.json``.
+
+Toshev et al. 2023, https://arxiv.org/abs/2309.16342. A folder has ``train.h5``, ``valid.h5`` and
+``test.h5``. Their groups, one for each simulation, have ``position`` (T, N, dimension) and
+``particle_type`` (N,). There are no velocities: they are differences of the positions
+(`with_velocities`). Units are those of the data, read as m and s.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, final
+
+import h5py
+import numpy as np
+
+from datamodules.convert.differences import with_velocities
+from datamodules.convert.options import Options
+from datamodules.convert.simulation import NO_SOLIDS, Array, Frame, Simulation
+from datamodules.schema import DAMAGE, Header, SceneAttributes
+from datamodules.storage import check_links, check_stored
+from fluidsnet.errors import UserError
+
+#: Files of the splits.
+FILES = {"train": "train.h5", "val": "valid.h5", "test": "test.h5"}
+
+#: Values of `particle_type` (``lagrangebench.utils.NodeType``).
+PADDING, FLUID, WALL, MOVING_WALL, RIGID_BODY = -1, 0, 1, 2, 3
+
+#: Key of `solver_parameters` that keeps the metadata of the source.
+METADATA = "lagrangebench_metadata"
+
+_OPTIONS = frozenset({"gravity", "domain", "viscosity", "density0", "particle_radius", "dt"})
+_KEYS = ("dim", "dt", "bounds", "periodic_boundary_conditions")
+_BLOCK_BYTES = 64_000_000  # of positions in memory
+
+
+def is_lagrangebench(folder: Path) -> bool:
+    """Return whether a folder has this format."""
+    return (folder / "metadata.json").is_file() and any(
+        (folder / name).is_file() for name in FILES.values()
+    )
+
+
+@final
+class LagrangeBench:
+    """Data set of LagrangeBench.
+
+    Args:
+        folder: Its folder.
+        options: Options of the conversion.
+
+    Raises:
+        UserError: The metadata cannot be read, or does not say all that is needed.
+    """
+
+    def __init__(self, folder: Path, options: Options) -> None:
+        options.refuse_others(_OPTIONS, "LagrangeBench")
+        self._folder, self._options = folder, options
+        self._metadata = metadata = _read_metadata(folder / "metadata.json")
+        self.notes: list[str] = []
+        spacing = metadata.get("dx")
+        known = options.given(
+            ("dt", "particle_radius"),
+            dt=metadata["dt"] * metadata.get("write_every", 1),
+            particle_radius=spacing and spacing / 2,
+        )
+        self.header = Header(
+            scene=str(metadata.get("case", folder.name)),
+            solver=str(metadata.get("solver", "unknown")),
+            solver_version=str(metadata.get("solver_version", "unknown")),
+            solver_parameters=metadata.get("solver_parameters", {METADATA: metadata}),
+            support_radius=metadata.get("support_radius", 4 * known["particle_radius"]),
+            **known,
+        )
+        self.splits, frames = {}, 0
+        for split, name in FILES.items():
+            if (folder / name).is_file():
+                with _open(folder / name) as file:
+                    self.splits[split] = sorted(file)
+                    frames += sum(len(it["position"]) for it in file.values() if "position" in it)
+        self.frames: int | None = frames
+        self._explain_forces()
+
+    def _explain_forces(self) -> None:
+        """Note what is done about forces; raise a `UserError` if they are not known."""
+        code = (self._folder / "force.py").is_file()
+        source = "force.py, which is code and is not run" if code else "metadata.json by size only"
+        if not (code or self._metadata.get("g_ext_magnitude")) or "gravity" in self._metadata:
+            return
+        if self._options.gravity is None:
+            raise UserError(
+                f"{self._folder}: the external force is in {source}; give a constant one with "
+                "--gravity X Y Z, in the units of the data."
+            )
+        self.notes.append(
+            f"the external force is in {source}; it is replaced by the constant "
+            f"{self._options.gravity}"
+        )
+
+    def open(self, split: str, name: str) -> Simulation:
+        path = self._folder / FILES[split]
+        with _open(path) as file:
+            group = file[name]
+            kind = _particle_type(group)
+            scene = self._scene(group)
+            plane = float(group.attrs.get("plane", 0.0))
+            periods = np.where(
+                scene.periodic, np.subtract(scene.domain_upper, scene.domain_lower), 0.0
+            )
+            solid = np.isin(kind, (WALL, MOVING_WALL))
+            rest = _at_rest(group, solid)
+            if rest and (kind == MOVING_WALL).any():
+                self.notes.append(f"{path.name}: the moving walls of /{name} rest in all frames")
+            walls = _flat(group["position"][0][solid], plane) if rest else NO_SOLIDS
+            datasets = {it: group[it][()] for it in ("time", "solver_seconds") if it in group}
+            further = set(SceneAttributes.__dataclass_fields__) | {"plane"}
+            attributes = {it: group.attrs[it] for it in group.attrs if it not in further}
+
+        def frames() -> Iterator[Frame]:
+            with _open(path) as file:
+                for position, velocity in self._states(file[name], periods, plane):
+                    fluid = position[kind == FLUID], velocity[kind == FLUID]
+                    moving = () if rest else (position[solid], velocity[solid])
+                    yield Frame(*fluid, *moving)
+
+        return Simulation(scene, frames, walls, {"particle_type": kind, **datasets}, attributes)
+
+    def _scene(self, group: h5py.Group) -> SceneAttributes:
+        """Return the scene of a simulation: attributes written by FluidsNet, or the metadata."""
+        metadata, options, radius = self._metadata, self._options, self.header.particle_radius
+        if "domain_lower" in group.attrs:
+            scene = SceneAttributes.read(group)
+            known: dict[str, Any] = {
+                "gravity": scene.gravity,
+                "viscosity": scene.viscosity,
+                "density0": scene.density0,
+            }
+        else:
+            bounds = np.array([*metadata["bounds"], [-radius, radius]][:3], np.float64)
+            x, y, z, *_ = [*map(bool, metadata["periodic_boundary_conditions"]), False]
+            scene = SceneAttributes(
+                domain_lower=tuple(bounds[:, 0].tolist()),
+                domain_upper=tuple(bounds[:, 1].tolist()),
+                gravity=(0.0, 0.0, 0.0),
+                density0=1.0,
+                viscosity=0.0,
+                periodic=(x, y, z),
+                dimension=int(metadata["dim"]),
+            )
+            known = {"gravity": [0.0] * 3, "viscosity": metadata.get("viscosity"), "density0": 1.0}
+        values = options.given(("gravity", "viscosity", "density0"), **known)
+        if options.domain is not None:
+            values |= options.box(NO_SOLIDS)
+        return replace(scene, **values)
+
+    def _states(
+        self, group: h5py.Group, periods: Array, plane: float
+    ) -> Iterator[tuple[Array, Array]]:
+        """Yield position and velocity of all particles, each (N, 3)."""
+        if "velocity" in group:
+            for position, velocity in zip(
+                _rows(group["position"]), _rows(group["velocity"]), strict=True
+            ):
+                yield _flat(position, plane), _flat(velocity, 0.0)
+        else:
+            positions = (_flat(position, plane) for position in _rows(group["position"]))
+            yield from with_velocities(positions, self.header.dt, periods)
+
+
+def _read_metadata(path: Path) -> dict[str, Any]:
+    try:
+        metadata: dict[str, Any] = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: it cannot be read as JSON: {error}.") from error
+    if missing := [key for key in _KEYS if key not in metadata]:
+        raise UserError(
+            f"{path}: {', '.join(missing)} is missing; LagrangeBench's metadata has it."
+        )
+    dimension, bounds = metadata["dim"], np.shape(metadata["bounds"])
+    if dimension not in (2, 3) or bounds != (dimension, 2):
+        raise UserError(
+            f"{path}: dim is {dimension} and bounds has shape {bounds}; expected 2 or 3, and a "
+            "pair for each axis."
+        )
+    return metadata
+
+
+def _open(path: Path) -> h5py.File:
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        raise UserError(f"{path}: it is no whole HDF5 file: {error}.") from error
+
+
+def _particle_type(group: h5py.Group) -> Array:
+    """Return the type of each particle, (N,); raise a `UserError` for what is not supported."""
+    check_links(group)
+    position, kind = group.get("position"), group.get("particle_type")
+    if not isinstance(position, h5py.Dataset) or not isinstance(kind, h5py.Dataset):
+        raise UserError("position or particle_type is missing.")
+    check_stored(position)
+    if position.ndim != 3 or kind.shape != position.shape[1:2]:
+        raise UserError(
+            f"position has shape {position.shape} and particle_type {kind.shape}; expected "
+            "(T, N, dimension) and (N,)."
+        )
+    types = np.asarray(kind[()])
+    if (types == RIGID_BODY).any():
+        raise UserError(
+            f"{int((types == RIGID_BODY).sum())} of its particles are of rigid bodies "
+            "(particle_type 3), whose motion is not predicted; leave the simulation out."
+        )
+    if strange := sorted({*types.tolist()} - {PADDING, FLUID, WALL, MOVING_WALL}):
+        raise UserError(
+            f"particle_type has the value(s) {strange}; known are -1 (padding), 0 (fluid), 1 "
+            "(wall) and 2 (moving wall)."
+        )
+    return types
+
+
+def _at_rest(group: h5py.Group, solid: Array) -> bool:
+    """Return whether the solids, (N,) booleans, are at the same places in all frames."""
+    if not solid.any():
+        return True
+    if "velocity" in group:
+        return not any(velocity[solid].any() for velocity in _rows(group["velocity"]))
+    first = group["position"][0][solid]
+    return all(np.array_equal(position[solid], first) for position in _rows(group["position"]))
+
+
+def _rows(dataset: h5py.Dataset) -> Iterator[Array]:
+    """Yield the frames of a data set (T, N, dimension), reading each of its chunks once."""
+    most = max(_BLOCK_BYTES // max(dataset[0].nbytes, 1), 1)
+    block = min(dataset.chunks[0] if dataset.chunks else most, most)
+    try:
+        for start in range(0, len(dataset), block):
+            yield from dataset[start : start + block]
+    except DAMAGE as error:
+        raise UserError(f"{dataset.name} cannot be read; it is damaged ({error}).") from error
+
+
+def _flat(values: Array, plane: float) -> Array:
+    """Return vectors (N, 2) or (N, 3) as (N, 3), with the third coordinate of the plane."""
+    if values.shape[1] == 3:
+        return values
+    return np.concatenate([values, np.full((len(values), 1), plane, values.dtype)], axis=1)
