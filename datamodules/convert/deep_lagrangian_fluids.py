@@ -56,7 +56,7 @@ class DeepLagrangianFluids:
         self._files: dict[str, list[Path]] = {}
         for path in sorted(folder.rglob(f"*{_SUFFIX}")):
             stem = str(path.relative_to(folder).as_posix())[: -len(_SUFFIX)]
-            self._files.setdefault(re.sub(r"_\d+$", "", stem), []).append(path)
+            self._files.setdefault(re.sub(r"_\d{2,3}$", "", stem), []).append(path)
         if not self._files:
             raise UserError(f"{folder} has no file *{_SUFFIX}.")
         for paths in self._files.values():

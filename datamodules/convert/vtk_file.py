@@ -31,23 +31,47 @@ def read_vtk(path: Path) -> Points:
         ".vtp": vtkXMLPolyDataReader,
         ".vtu": vtkXMLUnstructuredGridReader,
     }[path.suffix.lower()]()
-    errors: list[str] = []
-    # Instead of text on stderr, after which the data is empty.
-    reader.AddObserver("ErrorEvent", lambda *_: errors.append("error"))
     reader.SetFileName(str(path))
     if isinstance(reader, vtkDataSetReader):
         # By default only the first of each kind is read.
         reader.ReadAllScalarsOn()
         reader.ReadAllVectorsOn()
         reader.ReadAllFieldsOn()
-    reader.Update()
+    complaints = _update(reader)
     data = reader.GetOutput()
-    if errors or data is None or not data.GetNumberOfPoints():
-        raise UserError(f"{path}: VTK finds no points in it; the file is damaged or has none.")
+    if "error" in complaints.lower() or data is None or not data.GetNumberOfPoints():
+        raise UserError(f"{path}: VTK cannot read its points; the file is damaged or has none.")
     values = data.GetPointData()
     as_array: Callable[[Any], Any] = vtk_to_numpy
+    position = np.asarray(as_array(data.GetPoints().GetData()))
     names = [values.GetArrayName(index) for index in range(values.GetNumberOfArrays())]
-    return Points(
-        np.asarray(as_array(data.GetPoints().GetData())),
-        {name: np.asarray(as_array(values.GetArray(name))) for name in names if name},
-    )
+    fields = {name: np.asarray(as_array(values.GetArray(name))) for name in names if name}
+    if path.suffix.lower() == ".vtk":
+        _check_text(path, position.size + sum(it.size for it in fields.values()))
+    return Points(position, fields)
+
+
+def _update(reader: Any) -> str:
+    """Run a reader; return the text of its errors and warnings.
+
+    A file that ends too early is a warning, after which the rest of the values is arbitrary.
+    """
+    from vtkmodules.vtkCommonCore import vtkOutputWindow, vtkStringOutputWindow
+
+    usual, window = vtkOutputWindow.GetInstance(), vtkStringOutputWindow()
+    vtkOutputWindow.SetInstance(window)
+    try:
+        reader.Update()
+    finally:
+        vtkOutputWindow.SetInstance(usual)
+    return str(window.GetOutput())
+
+
+def _check_text(path: Path, count: int) -> None:
+    """Check that a legacy file, if it is text, has as many numbers as VTK returned.
+
+    VTK reads a text that ends too early without a word.
+    """
+    header, _, rest = path.read_bytes().partition(b"POINTS")
+    if b"ASCII" in header and len(rest.split()) < count:
+        raise UserError(f"{path}: it ends before its values do; the file is damaged.")
