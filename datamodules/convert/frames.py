@@ -84,7 +84,10 @@ class FrameFolders:
                 )
             self._sequences[name] = sequences
         if not self._sequences:
-            raise UserError(f"{folder} has no frames whose names match {options.frames}.")
+            raise UserError(
+                f"{folder} has no frames, files such as fluid_0001.vtk, whose names match "
+                f"{' or '.join(options.frames or ['*'])}."
+            )
         self._values = options.given(
             ("dt", "particle_radius", "gravity", "viscosity", "density0"), density0=1000.0
         )

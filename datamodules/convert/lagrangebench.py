@@ -8,9 +8,9 @@ Toshev et al. 2023, https://arxiv.org/abs/2309.16342. A folder has ``train.h5``,
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, final
 
@@ -18,8 +18,10 @@ import h5py
 import numpy as np
 
 from datamodules.convert.differences import with_velocities
+from datamodules.convert.lagrangebench_metadata import read_metadata
 from datamodules.convert.options import Options
 from datamodules.convert.simulation import NO_SOLIDS, Array, Frame, Simulation
+from datamodules.guard import guarded
 from datamodules.schema import DAMAGE, Header, SceneAttributes
 from datamodules.storage import check_links, check_stored
 from fluidsnet.errors import UserError
@@ -34,7 +36,6 @@ PADDING, FLUID, WALL, MOVING_WALL, RIGID_BODY = -1, 0, 1, 2, 3
 METADATA = "lagrangebench_metadata"
 
 _OPTIONS = frozenset({"gravity", "domain", "viscosity", "density0", "particle_radius", "dt"})
-_KEYS = ("dim", "dt", "bounds", "periodic_boundary_conditions")
 _BLOCK_BYTES = 64_000_000  # of positions in memory
 
 
@@ -60,7 +61,7 @@ class LagrangeBench:
     def __init__(self, folder: Path, options: Options) -> None:
         options.refuse_others(_OPTIONS, "LagrangeBench")
         self._folder, self._options = folder, options
-        self._metadata = metadata = _read_metadata(folder / "metadata.json")
+        self._metadata = metadata = read_metadata(folder / "metadata.json")
         self.notes: list[str] = []
         spacing = metadata.get("dx")
         known = options.given(
@@ -79,6 +80,7 @@ class LagrangeBench:
         self.splits, frames = {}, 0
         for split, name in FILES.items():
             if (folder / name).is_file():
+                guarded(folder / name, partial(_open, folder / name))
                 with _open(folder / name) as file:
                     self.splits[split] = sorted(file)
                     frames += sum(len(it["position"]) for it in file.values() if "position" in it)
@@ -89,7 +91,11 @@ class LagrangeBench:
         """Note what is done about forces; raise a `UserError` if they are not known."""
         code = (self._folder / "force.py").is_file()
         source = "force.py, which is code and is not run" if code else "metadata.json by size only"
-        if not (code or self._metadata.get("g_ext_magnitude")) or "gravity" in self._metadata:
+        if "gravity" in self._metadata:
+            return
+        if not (code or self._metadata.get("g_ext_magnitude")):
+            if self._options.gravity is None:
+                self.notes.append("metadata.json names no external force; gravity is zero")
             return
         if self._options.gravity is None:
             raise UserError(
@@ -169,24 +175,6 @@ class LagrangeBench:
         else:
             positions = (_flat(position, plane) for position in _rows(group["position"]))
             yield from with_velocities(positions, self.header.dt, periods)
-
-
-def _read_metadata(path: Path) -> dict[str, Any]:
-    try:
-        metadata: dict[str, Any] = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise UserError(f"{path}: it cannot be read as JSON: {error}.") from error
-    if missing := [key for key in _KEYS if key not in metadata]:
-        raise UserError(
-            f"{path}: {', '.join(missing)} is missing; LagrangeBench's metadata has it."
-        )
-    dimension, bounds = metadata["dim"], np.shape(metadata["bounds"])
-    if dimension not in (2, 3) or bounds != (dimension, 2):
-        raise UserError(
-            f"{path}: dim is {dimension} and bounds has shape {bounds}; expected 2 or 3, and a "
-            "pair for each axis."
-        )
-    return metadata
 
 
 def _open(path: Path) -> h5py.File:

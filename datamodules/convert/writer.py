@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 
 from datamodules.convert.simulation import Array, Frame, Simulation, Source
-from datamodules.schema import COMPRESSION, SPLITS, create_frames, validate
+from datamodules.schema import COMPRESSION, DAMAGE, SPLITS, create_frames, validate
 from fluidsnet.errors import UserError
 from fluidsnet.progress import Progress
 
@@ -41,6 +41,10 @@ def write_files(source: Source, root: Path) -> list[Path]:
                             _write(group, source.open(split, name), source.header.dt, bar)
                         except UserError as error:
                             raise UserError(f"{name}: {error}") from error
+                        except DAMAGE as error:
+                            raise UserError(
+                                f"{name}: it cannot be read, or its copy not written: {error}."
+                            ) from error
                 validate(path)
         for split, path in partial.items():
             path.replace(targets[split])

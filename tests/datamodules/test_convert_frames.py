@@ -335,7 +335,7 @@ def test_faults_are_named(spoil: Callable[[Path], None], words: str, tmp_path: P
         (BOX, "give --dt, --particle-radius, --gravity, --viscosity"),
         (VALUES, "give --domain X0 Y0 Z0 X1 Y1 Z1"),
         ((*VALUES, *BOX), r"say which simulation is in which file, as in `--split train=a,b"),
-        ((*ALL, "--frames", "*.vtk"), r"no frames whose names match \['\*\.vtk'\]"),
+        ((*ALL, "--frames", "*.vtk"), r"no frames, .* match \*\.vtk"),
         ((*ALL, "--walls", "box.obj"), "sample a mesh first"),
         ((*ALL, "--dt", 0), "--dt is 0; it must be finite and above zero"),
         ((*ALL, "--domain", 0, 0, 0, 1, 1, 0), "--domain is .* the lower corner"),

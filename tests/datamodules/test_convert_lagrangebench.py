@@ -156,6 +156,7 @@ def test_three_dimensions_and_options(write_cavity: Write, tmp_path: Path) -> No
         (TYPES, {"bounds": None}, "metadata.json: bounds is missing"),
         (TYPES, {"dim": 3, "bounds": [[0, 1]] * 2}, "dim is 3 and bounds has shape"),
         (TYPES, {"g_ext_magnitude": 1.0}, "--gravity"),
+        (TYPES, {"dt": "0.1"}, "metadata.json: dt is '0.1'"),
     ],
 )
 def test_what_cannot_be_used_is_refused(
