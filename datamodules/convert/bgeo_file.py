@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import gzip
 import struct
+from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
@@ -29,14 +29,15 @@ def read_bgeo(path: Path) -> Points:
         with path.open("rb") as raw:
             compressed = raw.read(2) == b"\x1f\x8b"
         with gzip.open(path) if compressed else path.open("rb") as file:
-            return _read(file)
+            # Whole, so that a count that is not true asks for no memory.
+            return _read(BytesIO(file.read()))
     except (OSError, EOFError, ValueError, TypeError, struct.error) as error:
         raise UserError(
             f"{path}: it cannot be read as BGEO of version 5, Houdini's classic format: {error}."
         ) from error
 
 
-def _read(file: BinaryIO | gzip.GzipFile) -> Points:
+def _read(file: BytesIO) -> Points:
     if file.read(5) != b"BgeoV":
         raise ValueError("it does not begin with BgeoV")
     version, count, _, _, _, attributes, *_ = struct.unpack(">9i", _exactly(file, 36))
@@ -60,13 +61,13 @@ def _read(file: BinaryIO | gzip.GzipFile) -> Points:
     return Points(points[columns[0][0]][:, :3], {name: it.squeeze() for name, it in fields.items()})
 
 
-def _exactly(file: BinaryIO | gzip.GzipFile, count: int) -> bytes:
+def _exactly(file: BytesIO, count: int) -> bytes:
     data = file.read(count) if count >= 0 else b""
     if len(data) != count:
         raise ValueError("it ends too early")
     return data
 
 
-def _text(file: BinaryIO | gzip.GzipFile) -> str:
+def _text(file: BytesIO) -> str:
     (length,) = struct.unpack(">H", _exactly(file, 2))
     return _exactly(file, length).decode("latin-1")

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, final
 
@@ -77,14 +76,10 @@ class LagrangeBench:
             support_radius=metadata.get("support_radius", 4 * known["particle_radius"]),
             **known,
         )
-        self.splits, frames = {}, 0
-        for split, name in FILES.items():
-            if (folder / name).is_file():
-                guarded(folder / name, partial(_open, folder / name))
-                with _open(folder / name) as file:
-                    self.splits[split] = sorted(file)
-                    frames += sum(len(it["position"]) for it in file.values() if "position" in it)
-        self.frames: int | None = frames
+        found = {split: folder / name for split, name in FILES.items()}
+        lengths = {split: _lengths(path) for split, path in found.items() if path.is_file()}
+        self.splits = {split: [*simulations] for split, simulations in lengths.items()}
+        self.frames: int | None = sum(sum(it.values()) for it in lengths.values())
         self._explain_forces()
 
     def _explain_forces(self) -> None:
@@ -182,6 +177,22 @@ def _open(path: Path) -> h5py.File:
         return h5py.File(path, "r")
     except OSError as error:
         raise UserError(f"{path}: it is no whole HDF5 file: {error}.") from error
+
+
+def _lengths(path: Path) -> dict[str, int]:
+    """Return the number of frames of each simulation in a file, by name."""
+
+    def read() -> dict[str, int]:
+        with _open(path) as file:
+            check_links(file)
+            positions = {name: file[name].get("position") for name in sorted(file)}
+            return {name: 0 if it is None else len(it) for name, it in positions.items()}
+
+    guarded(path, read)
+    try:
+        return read()
+    except (*DAMAGE, AttributeError, TypeError) as error:
+        raise UserError(f"{path}: the file is damaged or of another format: {error}.") from error
 
 
 def _particle_type(group: h5py.Group) -> Array:

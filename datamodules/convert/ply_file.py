@@ -42,7 +42,7 @@ def read_ply(path: Path) -> Points:
         if any(len(column) != count for column in columns.values()):
             raise ValueError(f"it ends before its {count} vertices do")
         return _points(columns)
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, IndexError) as error:
         raise UserError(f"{path}: it cannot be read as PLY: {error}.") from error
 
 

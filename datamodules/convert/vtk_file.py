@@ -37,8 +37,7 @@ def read_vtk(path: Path) -> Points:
         reader.ReadAllScalarsOn()
         reader.ReadAllVectorsOn()
         reader.ReadAllFieldsOn()
-    complaints = _update(reader)
-    data = reader.GetOutput()
+    data, complaints = _output(reader)
     if "error" in complaints.lower() or data is None or not data.GetNumberOfPoints():
         raise UserError(f"{path}: VTK cannot read its points; the file is damaged or has none.")
     values = data.GetPointData()
@@ -51,20 +50,24 @@ def read_vtk(path: Path) -> Points:
     return Points(position, fields)
 
 
-def _update(reader: Any) -> str:
-    """Run a reader; return the text of its errors and warnings.
+def _output(reader: Any) -> tuple[Any, str]:
+    """Return the output of a reader, and the text of its errors and warnings.
 
     A file that ends too early is a warning, after which the rest of the values is arbitrary.
     """
-    from vtkmodules.vtkCommonCore import vtkOutputWindow, vtkStringOutputWindow
+    from vtkmodules.vtkCommonCore import vtkLogger, vtkOutputWindow, vtkStringOutputWindow
 
     usual, window = vtkOutputWindow.GetInstance(), vtkStringOutputWindow()
+    verbosity = vtkLogger.GetCurrentVerbosityCutoff()
     vtkOutputWindow.SetInstance(window)
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
     try:
         reader.Update()
+        data = reader.GetOutput()
     finally:
+        vtkLogger.SetStderrVerbosity(verbosity)
         vtkOutputWindow.SetInstance(usual)
-    return str(window.GetOutput())
+    return data, str(window.GetOutput())
 
 
 def _check_text(path: Path, count: int) -> None:

@@ -209,7 +209,9 @@ def test_bgeo_files_without_attributes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", [".vtk", ".ply", ".bgeo", ".vtp", "_text.vtk"])
 @pytest.mark.parametrize("share", [0, 0.02, 0.1, 0.3, 0.6, 0.8])
-def test_truncated_files_are_refused(suffix: str, share: float, tmp_path: Path) -> None:
+def test_truncated_files_are_refused(
+    suffix: str, share: float, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / f"a{suffix}"
     if suffix == ".bgeo":
         write_bgeo(path, points_of(200).astype(np.float64))
@@ -223,6 +225,7 @@ def test_truncated_files_are_refused(suffix: str, share: float, tmp_path: Path) 
     read: dict[str, Callable[[Path], object]] = {".ply": read_ply, ".bgeo": read_bgeo}
     with pytest.raises(UserError, match=f"a{suffix}"):
         read.get(path.suffix, read_vtk)(path)
+    assert capfd.readouterr().err == ""  # VTK's own text is kept back
 
 
 def test_houdinis_newer_format_is_refused(tmp_path: Path) -> None:
