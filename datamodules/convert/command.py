@@ -95,7 +95,7 @@ def _parser() -> ArgumentParser:
     )
     parser.add_argument("--viscosity", type=float, help="coefficient of the solver")
     parser.add_argument("--density0", type=float, help="rest density, kg/m³")
-    parser.add_argument("--walls", type=Path, metavar="FILE", help="particles of walls at rest")
+    parser.add_argument("--walls", type=str, metavar="FILE", help="particles of walls at rest")
     parser.add_argument(
         "--frames", nargs="+", metavar="PATTERN", help="names of the fluid's files, as in 'Fluid_*'"
     )

@@ -143,9 +143,9 @@ class FrameFolders:
                 yield Frame(*state)
 
     def _read_walls(self) -> Array:
-        path = self._options.walls
-        if path is None:
+        if self._options.walls is None:
             return NO_SOLIDS
+        path = Path(self._options.walls)
         if not path.is_file() or _suffix(path) not in READERS:
             raise UserError(
                 f"--walls {path}: expected a file of particles, {', '.join(READERS)}; sample "

@@ -85,7 +85,11 @@ class LagrangeBench:
     def _explain_forces(self) -> None:
         """Note what is done about forces; raise a `UserError` if they are not known."""
         code = (self._folder / "force.py").is_file()
-        source = "force.py, which is code and is not run" if code else "metadata.json by size only"
+        what = (
+            "its external force is in force.py, which is code and is not run"
+            if code
+            else "metadata.json has the size of the external force and not its direction"
+        )
         if "gravity" in self._metadata:
             return
         if not (code or self._metadata.get("g_ext_magnitude")):
@@ -94,13 +98,10 @@ class LagrangeBench:
             return
         if self._options.gravity is None:
             raise UserError(
-                f"{self._folder}: the external force is in {source}; give a constant one with "
-                "--gravity X Y Z, in the units of the data."
+                f"{self._folder}: {what}; give a constant one with --gravity X Y Z, in the units "
+                "of the data."
             )
-        self.notes.append(
-            f"the external force is in {source}; it is replaced by the constant "
-            f"{self._options.gravity}"
-        )
+        self.notes.append(f"{what}; it is taken as the constant {self._options.gravity}")
 
     def open(self, split: str, name: str) -> Simulation:
         path = self._folder / FILES[split]

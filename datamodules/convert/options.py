@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -35,7 +34,7 @@ class Options:
     domain: list[float] | None = None
     viscosity: float | None = None
     density0: float | None = None
-    walls: Path | None = None
+    walls: str | None = None
     frames: list[str] | None = None
     split: list[str] | None = None
 

@@ -180,7 +180,10 @@ def test_code_is_never_run(
     with pytest.raises(UserError, match=r"force\.py, which is code and is not run; give .*--grav"):
         convert(folder, "--root", tmp_path / "out")
     convert(folder, "--root", tmp_path / "out", "--gravity", 0, -1, 0)
-    assert "force.py, which is code and is not run; it is replaced" in capsys.readouterr().err
+    assert (
+        "force.py, which is code and is not run; it is taken as the constant"
+        in capsys.readouterr().err
+    )
 
 
 def test_a_damaged_file_leaves_nothing(write_cavity: Write, tmp_path: Path) -> None:
