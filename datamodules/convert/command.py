@@ -40,7 +40,9 @@ def convert_command(arguments: list[str]) -> None:
         raise UserError(f"{source}: there is no such folder.")
     options = Options(**{name: getattr(given, name) for name in Options.__dataclass_fields__})
     if given.to is not None:
-        options.refuse_others(frozenset(), "`--to lagrangebench` of")
+        if given.format is not None:
+            raise UserError("--format is that of the source, and --to reads FluidsNet's; omit one.")
+        options.refuse_others(frozenset(), "--to lagrangebench")
         files = write_lagrangebench(source, root)
         print(f"{root} holds {', '.join(path.name for path in files)}.")
         return

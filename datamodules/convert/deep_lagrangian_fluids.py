@@ -51,7 +51,7 @@ class DeepLagrangianFluids:
     """
 
     def __init__(self, folder: Path, options: Options) -> None:
-        options.refuse_others(_OPTIONS, "DeepLagrangianFluids")
+        options.refuse_others(_OPTIONS, "DeepLagrangianFluids data")
         self._options = options
         self._files: dict[str, list[Path]] = {}
         for path in sorted(folder.rglob(f"*{_SUFFIX}")):

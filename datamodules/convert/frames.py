@@ -37,10 +37,6 @@ READERS: dict[str, Callable[[Path], Points]] = {
 _NAME = re.compile(
     r"(?P<stem>.*?)(?P<number>\d+)(?P<suffix>\.(?:vtk|vtp|vtu|ply|bgeo|bgeo\.gz))", re.IGNORECASE
 )
-_OPTIONS = frozenset(
-    {"dt", "particle_radius", "gravity", "domain", "viscosity", "density0"}
-    | {"walls", "frames", "split"}
-)
 
 #: Folders that SPlisHSPlasH adds below that of a simulation.
 _EXPORTS = ("vtk", "partio")
@@ -67,7 +63,6 @@ class FrameFolders:
     """
 
     def __init__(self, folder: Path, options: Options) -> None:
-        options.refuse_others(_OPTIONS, "this")
         self._options = options
         self._sequences: dict[str, list[Sequence]] = {}
         for parent in sorted({path.parent for path in folder.rglob("*") if _is_frame(path)}):

@@ -16,6 +16,7 @@ from typing import Any, final
 import h5py
 import numpy as np
 
+from datamodules.convert.chunked_frames import read_frames
 from datamodules.convert.differences import with_velocities
 from datamodules.convert.lagrangebench_metadata import read_metadata
 from datamodules.convert.options import Options
@@ -35,7 +36,6 @@ PADDING, FLUID, WALL, MOVING_WALL, RIGID_BODY = -1, 0, 1, 2, 3
 METADATA = "lagrangebench_metadata"
 
 _OPTIONS = frozenset({"gravity", "domain", "viscosity", "density0", "particle_radius", "dt"})
-_BLOCK_BYTES = 64_000_000  # of positions in memory
 
 
 def is_lagrangebench(folder: Path) -> bool:
@@ -58,7 +58,7 @@ class LagrangeBench:
     """
 
     def __init__(self, folder: Path, options: Options) -> None:
-        options.refuse_others(_OPTIONS, "LagrangeBench")
+        options.refuse_others(_OPTIONS, "LagrangeBench data")
         self._folder, self._options = folder, options
         self._metadata = metadata = read_metadata(folder / "metadata.json")
         self.notes: list[str] = []
@@ -134,7 +134,7 @@ class LagrangeBench:
     def _scene(self, group: h5py.Group) -> SceneAttributes:
         """Return the scene of a simulation: attributes written by FluidsNet, or the metadata."""
         metadata, options, radius = self._metadata, self._options, self.header.particle_radius
-        if "domain_lower" in group.attrs:
+        if _is_own(group):
             scene = SceneAttributes.read(group)
             known: dict[str, Any] = {
                 "gravity": scene.gravity,
@@ -156,6 +156,8 @@ class LagrangeBench:
             known = {"gravity": [0.0] * 3, "viscosity": metadata.get("viscosity"), "density0": 1.0}
         values = options.given(("gravity", "viscosity", "density0"), **known)
         if options.domain is not None:
+            if any(scene.periodic):
+                raise UserError("its box is periodic, and bounds are the period; omit --domain.")
             values |= options.box(NO_SOLIDS)
         return replace(scene, **values)
 
@@ -163,14 +165,19 @@ class LagrangeBench:
         self, group: h5py.Group, periods: Array, plane: float
     ) -> Iterator[tuple[Array, Array]]:
         """Yield position and velocity of all particles, each (N, 3)."""
-        if "velocity" in group:
+        if _is_own(group):
             for position, velocity in zip(
-                _rows(group["position"]), _rows(group["velocity"]), strict=True
+                read_frames(group["position"]), read_frames(group["velocity"]), strict=True
             ):
                 yield _flat(position, plane), _flat(velocity, 0.0)
         else:
-            positions = (_flat(position, plane) for position in _rows(group["position"]))
+            positions = (_flat(position, plane) for position in read_frames(group["position"]))
             yield from with_velocities(positions, self.header.dt, periods)
+
+
+def _is_own(group: h5py.Group) -> bool:
+    """Return whether FluidsNet wrote a simulation, with its scene and velocities in m/s."""
+    return "domain_lower" in group.attrs and "velocity" in group
 
 
 def _open(path: Path) -> h5py.File:
@@ -226,21 +233,12 @@ def _at_rest(group: h5py.Group, solid: Array) -> bool:
     """Return whether the solids, (N,) booleans, are at the same places in all frames."""
     if not solid.any():
         return True
-    if "velocity" in group:
-        return not any(velocity[solid].any() for velocity in _rows(group["velocity"]))
+    if _is_own(group):
+        return not any(velocity[solid].any() for velocity in read_frames(group["velocity"]))
     first = group["position"][0][solid]
-    return all(np.array_equal(position[solid], first) for position in _rows(group["position"]))
-
-
-def _rows(dataset: h5py.Dataset) -> Iterator[Array]:
-    """Yield the frames of a data set (T, N, dimension), reading each of its chunks once."""
-    most = max(_BLOCK_BYTES // max(dataset[0].nbytes, 1), 1)
-    block = min(dataset.chunks[0] if dataset.chunks else most, most)
-    try:
-        for start in range(0, len(dataset), block):
-            yield from dataset[start : start + block]
-    except DAMAGE as error:
-        raise UserError(f"{dataset.name} cannot be read; it is damaged ({error}).") from error
+    return all(
+        np.array_equal(position[solid], first) for position in read_frames(group["position"])
+    )
 
 
 def _flat(values: Array, plane: float) -> Array:

@@ -59,11 +59,11 @@ class Options:
 
         Args:
             taken: Names of the options that it takes.
-            what: Name of the format.
+            what: Data or output of the format, for the message.
         """
         for field in fields(self):
             if field.name not in taken and getattr(self, field.name) is not None:
-                raise UserError(f"{flag(field.name)} is no option of {what} data; leave it out.")
+                raise UserError(f"{flag(field.name)} has no effect on {what}; leave it out.")
 
     def box(self, walls: Array) -> dict[str, Any]:
         """Return `domain_lower` and `domain_upper`: as given, else what bounds the walls.

@@ -324,6 +324,31 @@ def test_what_lagrangebench_cannot_hold_is_refused(
     assert not [*(tmp_path / "out").iterdir()]
 
 
+def test_the_period_is_not_changed(write_cavity: Write, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="its box is periodic, and bounds are the period"):
+        convert(write_cavity(), "--root", tmp_path / "out", "--domain", 0, 0, 0, 1, 1, 1)
+
+
+def test_velocities_of_unknown_units_are_not_taken(write_cavity: Write, tmp_path: Path) -> None:
+    folder = write_cavity()
+    with h5py.File(folder / "valid.h5", "a") as file:
+        for group in file.values():
+            group["velocity"] = np.full(group["position"].shape, 9.0)
+    convert(folder, "--root", tmp_path / "out")
+    with h5py.File(tmp_path / "out" / "val.h5") as file:
+        assert np.abs(file["00000/velocity"]).max() < 5
+
+
+def test_options_without_effect_are_refused(lennard_jones: Path, tmp_path: Path) -> None:
+    for more, words in (
+        (("--walls", "a.ply"), "--walls has no effect on LagrangeBench data"),
+        (("--to", "lagrangebench", "--dt", 1), "--dt has no effect on --to lagrangebench"),
+        (("--to", "lagrangebench", "--format", "frames"), "--format is that of the source"),
+    ):
+        with pytest.raises(UserError, match=words):
+            convert(lennard_jones, "--root", tmp_path / "out", *more)
+
+
 def test_a_data_set_of_ones_own_is_recognized(sample: Path, tmp_path: Path) -> None:
     shutil.copytree(sample, tmp_path / "own")
     with pytest.raises(UserError, match="is it a data set of FluidsNet already"):
