@@ -15,6 +15,7 @@ Train a neural network on SPH simulations of fluids, measure it, and roll it out
 
 data:
   generate   simulate random scenes with an SPH solver and store them as HDF5 files
+  convert    read data of LagrangeBench, DeepLagrangianFluids, or VTK, PLY and BGEO files
   inspect    describe a data file and report suspicious values; with --model, show what a model
              builds for its scene and what it leaves out
 
@@ -48,6 +49,7 @@ cuboid_basin_small, dam_break_small, drop_pool_small. `--run box_drops` writes t
 # solver must not be loaded for training.
 _COMMANDS = {
     "generate": ("datamodules.generate.command", "generate_command"),
+    "convert": ("datamodules.convert.command", "convert_command"),
     "inspect": ("fluidsnet.studies.plan.command", "inspect_command"),
     "fit": ("fluidsnet.cli", "run"),
     "validate": ("fluidsnet.cli", "run"),

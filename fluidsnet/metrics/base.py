@@ -52,8 +52,9 @@ class RolloutMetric(Metric, ABC):
     """Metric of each step of R rollouts: the mean over a simulation's rollouts, then simulations.
 
     A value that is not finite makes the mean of its step infinite. Steps without a true state are
-    left out, and scenes with periodic axes where the metric has no meaning there. Nothing is copied to the host before `compute`. Under DDP each process updates its
-    rollouts, and all processes know R.
+    left out, and scenes with periodic axes where the metric has no meaning there. Nothing is copied
+    to the host before `compute`. Under DDP each process updates its rollouts, and all processes
+    know R.
 
     Args:
         simulations: Number of the simulation of each rollout.

@@ -1,0 +1,1 @@
+"""Converters of particle data in other formats, one format a file."""
