@@ -13,6 +13,7 @@ from fluidsnet.features.voxel import occupied_voxels
 from fluidsnet.features.voxel_field import VoxelField
 from fluidsnet.model import Model
 from fluidsnet.particles import Particles
+from fluidsnet.periodic import is_periodic, with_images
 from fluidsnet.priors import PressureStep
 from fluidsnet.scene import VALUES, Scene
 from fluidsnet.walls import OpenWalls
@@ -111,6 +112,10 @@ def _of_scene(model: Model, state: Particles, reached: int) -> Sequence[Part]:
         Part("motion of solids", motion, built=state.solids_move),
         _planes(model, scene),
     ]
+    if is_periodic(scene):
+        axes = ", ".join(axis for axis, on in zip("xyz", scene.periodic, strict=True) if on)
+        images = len(with_images(state).solid_position) - count
+        found.append(Part("periodic axes", f"{axes}: {images:,} images across the faces"))
     used = network.reads_guess
     for name in VALUES:
         label, varies = name.replace("_", " "), name in model.varying
