@@ -13,6 +13,7 @@ from datamodules.guard import guarded
 from datamodules.reader import FrameReader
 from fluidsnet.errors import UserError
 from tools.soak import FAULTS, soak
+from tools.soak_runs import soak_runs
 
 
 def test_no_damaged_file_is_let_in_or_breaks_the_program(tmp_path: Path) -> None:
@@ -40,3 +41,9 @@ def test_a_crash_of_the_library_is_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="the file is damaged: HDF5 crashes when it opens it"):
         guarded(tmp_path / "x.h5", lambda: os.kill(os.getpid(), signal.SIGSEGV))
     guarded(tmp_path / "x.h5", lambda: 1 / 0)
+
+
+def test_killed_trainings_and_full_disks_leave_whole_files() -> None:
+    counts = soak_runs(seconds=30, seed=1)
+    assert sum(counts.values()) > 0
+    assert not {fault: count for fault, count in counts.items() if fault in FAULTS}

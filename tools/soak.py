@@ -2,7 +2,8 @@
 
 Every file is the sample of the tests with one mutation, by bytes or by structure. It is opened,
 read and stepped as `fluidsnet` does. What may not happen: a result that is not finite without a
-word, a traceback, a hang, a crash.
+word, a traceback, a hang, a crash. Trainings that are killed and disks that are full follow
+(tools/soak_runs.py).
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ from typing import Any
 
 import h5py
 import numpy as np
+
+from tools.soak_runs import soak_runs
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLE = ROOT / "tests" / "data" / "dam_break" / "val.h5"
@@ -248,8 +251,12 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, help="folder for the files that were a fault")
     options = parser.parse_args()
     print(f"seed {options.seed}", flush=True)
-    counts = soak(options.seconds, options.most, options.seed, options.keep)
-    print(json.dumps({"tried": sum(counts.values()), **counts}))
+    # Three quarters of the time for files, the rest for trainings.
+    counts = soak(0.75 * options.seconds, options.most, options.seed, options.keep)
+    print(json.dumps({"files tried": sum(counts.values()), **counts}), flush=True)
+    runs = soak_runs(0.25 * options.seconds, options.seed)
+    print(json.dumps({"trainings tried": sum(runs.values()), **runs}))
+    counts += runs
     sys.exit(any(counts[fault] for fault in FAULTS))
 
 
