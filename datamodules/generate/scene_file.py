@@ -100,6 +100,22 @@ class SceneFile:
         }
         return [what for what, present in found.items() if present]
 
+    def unknown_methods(self) -> list[str]:
+        """Return sentences on methods of the scene that are not of the data or left out."""
+        found = []
+        for material in self.section("Materials"):
+            if material.get("viscosityMethod", 0) not in (0, 1):
+                found.append(
+                    "The scene's viscosity is of another method than SPlisHSPlasH's standard one; "
+                    "its coefficient is read as one of that."
+                )
+            found += [
+                f"The scene's {name} is left out."
+                for name in ("vorticity", "drag")
+                if material.get(f"{name}Method", 0)
+            ]
+        return found
+
     @property
     def method(self) -> int:
         """Number of the pressure solver; SPlisHSPlasH's default is DFSPH."""
