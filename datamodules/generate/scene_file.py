@@ -22,6 +22,9 @@ SOLVERS = {
     6: "ICSPH",
 }
 
+#: Sections with names of files in them, and the keys of those.
+FILES = {"RigidBodies": "geometryFile", "FluidModels": "particleFile"}
+
 
 @final
 @dataclass(frozen=True)
@@ -80,6 +83,15 @@ class SceneFile:
         """Python script that SPlisHSPlasH runs beside the scene."""
         name = self.configuration.get("scriptFile")
         return self.path.parent / name if name else None
+
+    def missing_files(self) -> list[Path]:
+        """Return the files of bodies and fluid that the scene names and that are not there."""
+        named = [
+            self.path.parent / entry.get(key, "")
+            for section, key in FILES.items()
+            for entry in self.section(section)
+        ]
+        return [path for path in named if not path.is_file()]
 
     def refusals(self) -> list[str]:
         """Return what of the scene a data set cannot represent, by name."""

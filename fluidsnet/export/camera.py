@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 Floats = NDArray[np.float64]
 
 _MIN_WIDTH = 400  # pixels, room for the title
-_MARGIN = 1.06  # of a picture that the box fills
+_MARGIN = 1.1  # of a picture that the box fills
 _FLAT = 0.03  # greatest depth of a flat box, in its longest edges
 
 

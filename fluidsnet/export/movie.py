@@ -136,6 +136,9 @@ def _writer(path: Path, rate: float) -> Iterator[Any]:
     partial = path.with_name(f".{path.stem}.{os.getpid()}.tmp.mp4")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"{path}: the movie cannot be written: {error}.") from error
+    try:
         movie = imageio_ffmpeg.write_frames(
             str(partial), SIZE, fps=rate, quality=8, macro_block_size=2
         )
@@ -221,8 +224,8 @@ class _Stage:
             label_font_size=14,
             width=0.3,
             height=0.07,
-            position_x=0.67,
-            position_y=0.03,
+            position_x=0.68,
+            position_y=0.92,
         )
 
     def _add_box(self, pyvista: Any) -> None:

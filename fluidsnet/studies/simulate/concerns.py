@@ -37,17 +37,19 @@ def concerns(run: str, model: Model, start: Particles) -> list[str]:
     Raises:
         UserError: The model cannot step the scene.
     """
+    if model.network.reads_guess and (doubts := model.prior.doubts(start.scene)):
+        raise UserError(f"The fluid would burst apart: {doubts[0]}")
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         model.check_scenes(start.scene)
     told = [str(it.message) for it in caught]
     known = shipped_range(run) or training_range(run)
-    if known is None:
+    if known is None and model.network.target.width:
         told.append(
             f"The data that {run} was trained on are not here: particle radius, depth and speed "
             "of the scene are not compared with theirs."
         )
-    else:
+    elif known is not None:
         told += _beyond(known, model, start)
     return told + _bad_start(start)
 
@@ -75,11 +77,11 @@ def _beyond(known: TriedRange, model: Model, start: Particles) -> list[str]:
     told, scene = [], start.scene
     radius = scene.particle_radius
     if abs(radius / known.particle_radius - 1) > 1e-3:
-        why = (
-            "its weights are for that radius alone"
-            if model.network.target.width
-            else "smaller particles need a shorter time step"
-        )
+        why = "its numbers were chosen at that"
+        if model.network.target.width:
+            why = "its weights were trained at that alone"
+        elif radius < known.particle_radius:
+            why = "smaller particles need a shorter time step"
         told.append(
             f"The particles have a radius of {radius:g} m, and the model is for "
             f"{known.particle_radius:g} m; {why}."

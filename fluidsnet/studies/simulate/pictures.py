@@ -112,7 +112,10 @@ def _view(start: Start, course: Course) -> View:
         solid = _solids_at(start, course, 0)
         lower = np.minimum(course.lower, solid.min(axis=0, initial=np.inf)) - radius
         upper = np.maximum(course.upper, solid.max(axis=0, initial=-np.inf)) + radius
-    lower, upper = _up_to_the_fluid(lower, upper, start, course)
+    shown = _solids_at(start, course, 0)[drawn_solids(start)]
+    lowest = np.minimum(course.lower, shown.min(axis=0, initial=np.inf))
+    highest = np.maximum(course.upper, shown.max(axis=0, initial=-np.inf))
+    lower, upper = _cut(lower, upper, scene.gravity[0].cpu().numpy(), lowest, highest)
     frames = np.unique(np.linspace(0, course.frames - 1, _SCALE_FRAMES).astype(int))
     speeds = [read_frame(course.path, int(it))[1]["speed"] for it in frames]
     return View(
@@ -122,19 +125,23 @@ def _view(start: Start, course: Course) -> View:
         particle_radius=radius,
         speed_max=speed_scale(speeds),
         title=start.name,
-        solid=_solids_at(start, course, 0)[drawn_solids(start)],
+        solid=shown,
     )
 
 
-def _up_to_the_fluid(
-    lower: Array, upper: Array, start: Start, course: Course
+def _cut(
+    lower: Array, upper: Array, gravity: Array, lowest: Array, highest: Array
 ) -> tuple[Array, Array]:
-    """Return the corners of the part of a box below the height that the fluid reached, m."""
-    up = up_axis(start.state.scene.gravity[0].cpu().numpy())
-    axis, room = int(np.argmax(np.abs(up))), _ABOVE * (upper - lower)
-    lower, upper = lower.copy(), upper.copy()
-    if up[axis] > 0:
-        upper[axis] = min(upper[axis], course.upper[axis] + room[axis])
-    else:
-        lower[axis] = max(lower[axis], course.lower[axis] - room[axis])
-    return lower, upper
+    """Return the corners of the part of a box below the height that is reached, m.
+
+    Args:
+        lower: (3,) corner of the box, m.
+        upper: (3,) corner of the box, m.
+        gravity: (3,) m/s².
+        lowest: (3,) least coordinates that are reached, m.
+        highest: (3,) greatest coordinates, m.
+    """
+    up, room = up_axis(gravity), _ABOVE * (upper - lower)
+    cut_lower = np.where(up < 0, np.maximum(lower, lowest - room), lower)
+    cut_upper = np.where(up > 0, np.minimum(upper, highest + room), upper)
+    return cut_lower, cut_upper

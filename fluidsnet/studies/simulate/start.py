@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from argparse import ArgumentError
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from datamodules.reader import FrameReader, read_motion
 from fluidsnet.errors import UserError
 from fluidsnet.particles import Particles, SolidMotion
 from fluidsnet.studies.machine import cores
+from fluidsnet.studies.simulate.steppable import check_steppable
 
 #: What samples fluid and walls: the solver where it is installed, the solver, or our lattices.
 Sampling = Literal["auto", "solver", "lattice"]
@@ -148,7 +150,7 @@ class SceneChoice:
 
     def _of_scene_file(self, time_step: float) -> Start:
         scene = SceneFile.find(self.scene)
-        _check_steppable(scene)
+        check_steppable(scene)
         plan = SceneFilePlan(str(scene.path))
         with tempfile.TemporaryDirectory() as folder:
             ((_, job),) = plan.jobs(Path(folder), cores()).items()
@@ -200,33 +202,9 @@ def _recipe(path: Path) -> Recipe:
     parser.add_class_arguments(Recipe, "recipe")
     try:
         options = parser.instantiate(parser.parse_args([f"--config={path}"]))
-    except (ValueError, TypeError) as error:
+    except (ArgumentError, ValueError, TypeError) as error:
         raise UserError(f"{path}: not a config of `fluidsnet generate`: {error}") from error
     return Recipe(**vars(options.recipe))
-
-
-def _check_steppable(scene: SceneFile) -> None:
-    """Check that a model can step what a scene file describes.
-
-    Raises:
-        UserError: It has parts that models do not know, or solids whose motion is not known.
-    """
-    if found := scene.refusals():
-        raise UserError(
-            f"{scene.path}: the scene has {', '.join(found)}, which no model steps; only scenes of "
-            "one fluid with static rigid bodies are simulated."
-        )
-    if any(body.get("isAnimated") for body in scene.section("RigidBodies")):
-        raise UserError(
-            f"{scene.path}: the scene has an animated rigid body, whose motion is not in the file; "
-            "simulate it with `fluidsnet generate --scene-file … --run-script` and start from its "
-            "data file, which has the motion, or set isAnimated to false to let the body rest."
-        )
-    if scene.script is not None:
-        raise UserError(
-            f"{scene.path}: the scene runs the Python script {scene.script}, which only the solver "
-            "can run; remove scriptFile from the section Configuration to simulate without it."
-        )
 
 
 def opened(start: Start, seconds: float) -> Start:
