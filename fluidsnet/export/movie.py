@@ -9,6 +9,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
@@ -75,15 +76,14 @@ def check_movie(path: Path) -> None:
     """
     if path.suffix.lower() != ".mp4":
         raise UserError(f"{path}: the name of a movie must end in .mp4.")
-    try:
-        import imageio_ffmpeg
-        import pyvista
-    except ImportError as error:
-        raise UserError(
-            f"A movie needs the package {error.name}, which is not installed; install it with "
-            "`pip install 'fluidsnet[movie]'`."
-        ) from error
-    assert imageio_ffmpeg and pyvista
+    for name in ("pyvista", "imageio_ffmpeg"):
+        try:
+            import_module(name)
+        except ImportError as error:
+            raise UserError(
+                f"A movie needs the package {name}, which is not installed; install it with "
+                "`pip install 'fluidsnet[movie]'`."
+            ) from error
 
 
 def drawn_frames(times: NDArray[np.float64]) -> tuple[list[int], float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +113,14 @@ def test_time_runs_as_in_the_simulation() -> None:
     assert drawn_frames(0.02 * np.arange(7)) == ([0, 2, 4, 6], pytest.approx(25))
     assert drawn_frames(0.08 * np.arange(3)) == ([0, 1, 2], pytest.approx(12.5))
     assert drawn_frames(np.zeros(1)) == ([0], 1.0)
+
+
+def test_a_package_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(
+        UserError, match=r"needs the package imageio_ffmpeg, .* 'fluidsnet\[movie\]'"
+    ):
+        check_movie(Path("a.mp4"))
 
 
 def test_a_movie_that_cannot_be_written(tmp_path: Path) -> None:

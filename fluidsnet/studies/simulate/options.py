@@ -126,7 +126,7 @@ def _parser() -> Parser:
     add(
         "--until-rest",
         action="store_true",
-        help="stop when 99.9 %% of the particles have been slow for half a second",
+        help="stop when nearly all particles have been slow for half a second",
     )
     add(
         "--rest-speed",
