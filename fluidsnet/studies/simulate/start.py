@@ -109,7 +109,7 @@ class SceneChoice:
         if not 0 <= frame < count:
             raise UserError(f"{path}: there is no frame {frame} of /{name}, which has {count}.")
         state = reader.state(name, frame, 1)
-        known = None
+        motion, known = None, None
         if state.solids_move:
             motion = read_motion(path, time_step, frame, name)
             known = (count - 1 - frame) // round(time_step / reader.header.dt)
@@ -118,7 +118,7 @@ class SceneChoice:
             name=f"{path.stem}_{name}_{frame}",
             state=_stepped(state, time_step),
             origin=f"frame {frame} of /{name} in {path}",
-            solids=motion if state.solids_move else None,
+            solids=motion,
             known_steps=known,
         )
 
