@@ -26,6 +26,9 @@ experiments (settings come from YAML files: --config FILE, repeated; later files
   predict    simulate with a trained network and write files for ParaView
   export     write a rollout or a simulation as USD, PLY, BGEO or surface meshes
 
+simulation:
+  simulate   simulate a scene with a trained model in place of the solver; no truth is needed
+
 studies and reports:
   speed      compare the time per step of a network and of the SPH solver
   trade      compare errors and cost of networks, priors and a solver that may be careless
@@ -38,6 +41,7 @@ examples:
   fluidsnet fit --config configs/trainer.yaml --config configs/model/field.yaml \\
                 --config configs/data/sample.yaml
   fluidsnet test --run runs/fluidsnet/version_0
+  fluidsnet simulate DoubleDamBreak.json --model box_drops --seconds 4
 
 validate, test and predict take the folder of a run (--run) instead of --config and --ckpt_path,
 or the name of a model that ships with the package: box_drops, box_drops_40ms, box_drops_80ms,
@@ -56,6 +60,7 @@ _COMMANDS = {
     "test": ("fluidsnet.cli", "run"),
     "predict": ("fluidsnet.cli", "run"),
     "export": ("fluidsnet.studies.export.command", "export_command"),
+    "simulate": ("fluidsnet.studies.simulate.command", "simulate_command"),
     "speed": ("fluidsnet.studies.speed.command", "speed_command"),
     "trade": ("fluidsnet.studies.trade.command", "trade_command"),
     "stress": ("fluidsnet.studies.stress.command", "stress_command"),

@@ -14,6 +14,7 @@ from typing import NamedTuple, Protocol
 import h5py
 
 from datamodules.generate.job import Job
+from datamodules.generate.process import run_job
 from datamodules.generate.solver import load_solver
 from datamodules.schema import SPLITS
 from fluidsnet.errors import UserError
@@ -153,35 +154,18 @@ def _simulate(
     name: str, job: Job, scratch: Path, bar: Progress, running: set[subprocess.Popen[bytes]]
 ) -> Failure | None:
     """Run a job in a process of the solver, and advance the bar for each frame."""
-    log, job_file = scratch / f"{name}.log", scratch / f"{name}.json"
-    job_file.write_text(job.to_json())
-    read_end, write_end = os.pipe()
-    # Threads that spin while they wait, the default, slow down a busy machine thirtyfold.
-    openmp = {"OMP_NUM_THREADS": str(job.threads), "OMP_WAIT_POLICY": "passive"}
-    with log.open("wb") as output:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "datamodules.generate.solver", job_file, str(write_end)],
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            stdin=subprocess.DEVNULL,
-            pass_fds=[write_end],
-            env={**os.environ, **openmp},
-        )
-    running.add(process)
-    os.close(write_end)
     frames = 0
-    with open(read_end) as reports:
-        for _ in reports:
-            frames += 1
-            bar.update()
-    status = process.wait()
-    running.discard(process)
-    if status == 0:
+
+    def advance() -> None:
+        nonlocal frames
+        frames += 1
+        bar.update()
+
+    reason = run_job(name, job, scratch, advance, running)
+    if reason is None:
         return None
     bar.update(job.frames - frames)
-    lines = [line.strip() for line in log.read_text(errors="replace").splitlines()]
-    reason = f"killed by signal {-status}" if status < 0 else f"exit status {status}"
-    return Failure(name, job.seed, ": ".join([reason, *list(filter(None, lines))[-2:]]))
+    return Failure(name, job.seed, reason)
 
 
 def _join(target: Path, sources: list[Path], failures: list[Failure]) -> None:

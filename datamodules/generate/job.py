@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datamodules.generate.bodies import Block, Body, Drop, Vector, describe, from_description
+from datamodules.generate.lattice import block_lattice, clear_of
 from datamodules.generate.mesh import write_box, write_drop
 from datamodules.generate.moving_solids import MovingSolid, describe_solids, solids_from
 from datamodules.generate.particle_file import write_bgeo
-from datamodules.generate.scenes import CLEARANCE
 from datamodules.schema import Header, SceneAttributes
 
 SolverName = Literal["WCSPH", "PCISPH", "PBF", "IISPH", "DFSPH"]
@@ -193,7 +193,7 @@ def scene_file(job: DrawnJob, folder: Path) -> dict[str, Any]:
     for number, body in enumerate(job.bodies):
         if isinstance(body, Block) and (job.solids or scene.dimension == 2):
             particles = folder / f"body{number}.bgeo"
-            write_bgeo(particles, _around(body, job.solids, radius))
+            write_bgeo(particles, clear_of(job.solids, block_lattice(body, radius), radius))
             models.append({"particleFile": str(particles)})
         elif isinstance(body, Block):
             # SPlisHSPlasH leaves one spacing empty at each end of a block.
@@ -261,13 +261,3 @@ def _rigid_body(mesh: Path, center: Vector, **kind: bool) -> dict[str, Any]:
         "samplingMode": REGULAR_TRIANGLES,
         **kind,
     }
-
-
-def _around(block: Block, solids: Sequence[MovingSolid], radius: float) -> NDArray[np.float64]:
-    """Return the particles (P, 3) of a block, m, that are not in solids or too close to them."""
-    lower, upper = block.bounds()
-    axes = [np.arange(a + radius, b, 2 * radius) for a, b in zip(lower, upper, strict=True)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    for solid in solids:
-        points = points[solid.distance(points) > (1 + CLEARANCE) * radius]
-    return points

@@ -20,16 +20,21 @@ def write_box(path: Path, lower: Vector, upper: Vector) -> None:
 
 def write_drop(path: Path, drop: Drop, particle_radius: float) -> None:
     """Write the surface of a drop around the origin: a ball, or its mesh scaled to fit one."""
-    if drop.mesh is None:
-        vertices, triangles = _ball(drop.radius)
-    else:
-        vertices, faces = read_obj(Path(drop.mesh))
-        triangles = (faces + 1).tolist()
-        vertices -= (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-        vertices *= drop.radius / np.linalg.norm(vertices, axis=1).max()
+    vertices, triangles = drop_surface(drop)
     if drop.radius < particle_radius:
         raise RuntimeError(f"the drop's radius {drop.radius} m is below the particle radius")
-    write_obj(path, vertices, triangles)
+    write_obj(path, vertices, triangles + 1)
+
+
+def drop_surface(drop: Drop) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return vertices (V, 3) around the origin and triangles (T, 3) of a drop, from zero."""
+    if drop.mesh is None:
+        vertices, corners = _ball(drop.radius)
+        return vertices, np.array(corners) - 1
+    vertices, triangles = read_obj(Path(drop.mesh))
+    vertices -= (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    vertices *= drop.radius / np.linalg.norm(vertices, axis=1).max()
+    return vertices, triangles
 
 
 def _ball(radius: float) -> tuple[NDArray[np.float64], list[tuple[int, int, int]]]:

@@ -43,6 +43,11 @@ class MovingSolid:
         """Return the velocity of the center, m/s, at a time, s."""
         return [self.frequency * it * math.sin(self.frequency * time) for it in self.swing]
 
+    def shift(self, time: float) -> Points:
+        """Return the way of the center, (3,) m, from the start to a time, s."""
+        way: Points = np.array(self.swing) * (1 - math.cos(self.frequency * time))
+        return way
+
     def distance(self, points: Points) -> Points:
         """Return the distance (P,) of points (P, 3) from the cuboid at the start, m."""
         beyond = np.abs(points - np.array(self.center)) - np.array(self.edges) / 2

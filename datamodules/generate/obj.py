@@ -32,10 +32,27 @@ def read_obj(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     Raises:
         UserError: there is no such file, it cannot be read, or its surface is not closed.
     """
+    vertices, triangles = read_faces(path)
+    faces: list[tuple[int, int, int]] = [(a, b, c) for a, b, c in triangles.tolist()]
+    edges = Counter(frozenset(edge) for a, b, c in faces for edge in ((a, b), (b, c), (c, a)))
+    if any(count != 2 for count in edges.values()):
+        raise UserError(f"{path}: the surface is open; each edge must belong to two faces.")
+    return vertices, triangles
+
+
+def read_faces(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Read a surface, which may be open; larger faces are split into triangles.
+
+    Returns:
+        Vertices (V, 3), and triangles (T, 3), whose indices count from zero.
+
+    Raises:
+        UserError: there is no such file, or it cannot be read.
+    """
     vertices: list[list[float]] = []
     triangles: list[tuple[int, int, int]] = []
     if not path.is_file():
-        raise UserError(f"{path}: there is no such file; a closed OBJ surface is needed.")
+        raise UserError(f"{path}: there is no such file; a surface in OBJ format is needed.")
     try:
         for line in path.read_text().splitlines():
             keyword, *values = line.split() or [""]
@@ -49,10 +66,7 @@ def read_obj(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     except ValueError as error:
         raise UserError(f"{path}: not an OBJ file of text: {error}.") from error
     if not triangles:
-        raise UserError(f"{path}: there are no faces in it; a closed OBJ surface is needed.")
-    edges = Counter(frozenset(edge) for a, b, c in triangles for edge in ((a, b), (b, c), (c, a)))
-    if any(count != 2 for count in edges.values()):
-        raise UserError(f"{path}: the surface is open; each edge must belong to two faces.")
+        raise UserError(f"{path}: there are no faces in it; a surface in OBJ format is needed.")
     if not 0 <= np.min(triangles) <= np.max(triangles) < len(vertices):
         raise UserError(f"{path}: a face has a vertex that is not in the file; write it again.")
     return np.array(vertices, dtype=np.float64), np.array(triangles, dtype=np.int64)

@@ -22,6 +22,9 @@ SOLVERS = {
     6: "ICSPH",
 }
 
+#: Sections with names of files in them, and the keys of those.
+FILES = {"RigidBodies": "geometryFile", "FluidModels": "particleFile"}
+
 
 @final
 @dataclass(frozen=True)
@@ -81,6 +84,15 @@ class SceneFile:
         name = self.configuration.get("scriptFile")
         return self.path.parent / name if name else None
 
+    def missing_files(self) -> list[Path]:
+        """Return the files of bodies and fluid that the scene names and that are not there."""
+        named = [
+            self.path.parent / entry.get(key, "")
+            for section, key in FILES.items()
+            for entry in self.section(section)
+        ]
+        return [path for path in named if not path.is_file()]
+
     def refusals(self) -> list[str]:
         """Return what of the scene a data set cannot represent, by name."""
         bodies = self.section("RigidBodies")
@@ -99,6 +111,22 @@ class SceneFile:
             "an unknown pressure solver": self.method not in SOLVERS,
         }
         return [what for what, present in found.items() if present]
+
+    def unknown_methods(self) -> list[str]:
+        """Return sentences on methods of the scene that are not of the data or left out."""
+        found = []
+        for material in self.section("Materials"):
+            if material.get("viscosityMethod", 0) not in (0, 1):
+                found.append(
+                    "The scene's viscosity is of another method than SPlisHSPlasH's standard one; "
+                    "its coefficient is read as one of that."
+                )
+            found += [
+                f"The scene's {name} is left out."
+                for name in ("vorticity", "drag")
+                if material.get(f"{name}Method", 0)
+            ]
+        return found
 
     @property
     def method(self) -> int:

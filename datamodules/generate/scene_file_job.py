@@ -13,12 +13,11 @@ import h5py
 import numpy as np
 
 from datamodules.generate.job import AKINCI_2012, Job, Points
+from datamodules.generate.scene_file import FILES
 from datamodules.schema import SceneAttributes
 
 #: Settings of a scene file that would write files, stop the solver or open windows.
 _REMOVED = ("pause", "pauseAt", "stopAt", "scriptFile", "stateExportFPS", "dataExportFPS")
-#: Sections with names of files in them.
-_FILES = {"RigidBodies": "geometryFile", "FluidModels": "particleFile"}
 
 
 @final
@@ -57,7 +56,7 @@ class SceneFileJob(Job):
             enableZSort=False,
             numberOfStepsPerRenderUpdate=1,
         )
-        for section, name in _FILES.items():
+        for section, name in FILES.items():
             for entry in scene.get(section, []):
                 entry[name] = str((Path(self.folder) / entry[name]).resolve())
         return scene

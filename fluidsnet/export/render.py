@@ -1,7 +1,7 @@
 """Pictures of particles: panels such as truth and prediction at several times.
 
 Each particle is drawn as a lit sphere with a depth buffer, in perspective from slightly above;
-y is up. Color is speed, from blue at rest to white, as in Fig. 12 of the paper.
+up is against gravity. Color is speed, from blue at rest to white, as in Fig. 12 of the paper.
 """
 
 from __future__ import annotations
@@ -16,14 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fluidsnet.export.camera import Camera
+from fluidsnet.export.colors import BACKGROUND, FLOOR, LINES, SOLID, TEXT
 from fluidsnet.export.speed_colors import speed_colormap, speed_colors, speed_scale
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-_BACKGROUND, _FLOOR, _LINES, _TEXT = "#0c1016", "#171d27", "#6d7a8c", "#e4e9f0"
-
-_SOLID = 0.5  # gray of solid particles
 
 _DPI = 100
 _PANEL = (640, 460)  # greatest size of a panel, pixels
@@ -41,7 +38,7 @@ class Panel:
 
     Attributes:
         title: Title, such as ``truth (IISPH), 0.50 s``.
-        position: (N, 3), m, y up.
+        position: (N, 3), m.
         speed: (N,), m/s.
         solid: (K, 3) of solid particles to show, m; they are gray.
     """
@@ -60,6 +57,7 @@ def side_by_side(
     particle_radius: float,
     speed_max: float | None = None,
     columns: int = 2,
+    gravity: ArrayLike | None = None,
 ) -> None:
     """Draw panels in columns to a PNG file, all with one color scale.
 
@@ -76,6 +74,7 @@ def side_by_side(
         speed_max: Upper end of the color scale, m/s; by default the 99.5th percentile of the
             speeds in all panels.
         columns: Number of panels in a row.
+        gravity: (3,) m/s², which is drawn downward; by default y is up.
 
     Raises:
         ValueError: the panels do not fill their rows, the shapes in a panel do not match, or
@@ -99,11 +98,11 @@ def side_by_side(
 
     rows = len(panels) // columns
     lower, upper = np.asarray(domain_lower, float), np.asarray(domain_upper, float)
-    camera = Camera(lower, upper, _panel_size(rows, columns))
+    camera = Camera(lower, upper, _panel_size(rows, columns), gravity)
     top = speed_scale([panel.speed for panel in panels]) if speed_max is None else speed_max
     width = columns * (camera.width + _GAP) + _BAR
     height = rows * (camera.height + _TITLE) + _GAP
-    figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor=_BACKGROUND)
+    figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor=BACKGROUND)
     for index, panel in enumerate(panels):
         row, column = divmod(index, columns)
         left = _GAP + column * (camera.width + _GAP)
@@ -115,10 +114,10 @@ def side_by_side(
     shown = ScalarMappable(Normalize(0.0, top), speed_colormap())
     scale = figure.colorbar(shown, cax=bar, extend="max", extendfrac=0.03)
     scale.outline.set_visible(False)
-    scale.set_label("speed, m/s", color=_TEXT, fontsize=11)
-    bar.tick_params(colors=_TEXT, labelsize=10, length=3)
+    scale.set_label("speed, m/s", color=TEXT, fontsize=11)
+    bar.tick_params(colors=TEXT, labelsize=10, length=3)
     drawing = BytesIO()
-    figure.savefig(drawing, dpi=_DPI, facecolor=_BACKGROUND, pil_kwargs={"compress_level": 0})
+    figure.savefig(drawing, dpi=_DPI, facecolor=BACKGROUND, pil_kwargs={"compress_level": 0})
     # The picture is blue and gray: 256 colors look the same and take a third of the bytes.
     picture = Image.open(drawing).convert("RGB")
     picture = picture.quantize(palette=picture.quantize(256), dither=Image.Dither.FLOYDSTEINBERG)
@@ -139,9 +138,9 @@ def _panel_size(rows: int, columns: int) -> tuple[int, int]:
 def _draw(axes: Axes, camera: Camera, panel: Panel, radius: float, top: float) -> None:
     """Draw one panel: floor, far edges, particles, near edges, title."""
     corners = camera.project(camera.corners())
-    floor = corners[[0, 1, 5, 4]]
+    floor = corners[camera.floor()]
     facing = (camera.eye < camera.lower, camera.eye > camera.upper)
-    axes.fill(floor[:, 0], floor[:, 1], color=_FLOOR, zorder=0)
+    axes.fill(floor[:, 0], floor[:, 1], color=FLOOR, zorder=0)
     for start in range(8):
         for axis in range(3):
             if start >> axis & 1:
@@ -150,16 +149,16 @@ def _draw(axes: Axes, camera: Camera, panel: Panel, radius: float, top: float) -
             # An edge is far if neither of its two faces faces the eye.
             far = not any(facing[start >> other & 1][other] for other in {0, 1, 2} - {axis})
             order, alpha = (1, 0.5) if far else (3, 0.7)
-            axes.plot(*ends[:, :2].T, color=_LINES, linewidth=1.0, zorder=order, alpha=alpha)
+            axes.plot(*ends[:, :2].T, color=LINES, linewidth=1.0, zorder=order, alpha=alpha)
     picture, drawn = _spheres(camera, panel, radius, top)
     axes.imshow(picture, extent=(0, camera.width, camera.height, 0), zorder=2)
     axes.set_xlim(0, camera.width)
     axes.set_ylim(camera.height, 0)
     axes.set_axis_off()
-    titles = [(axes.set_title(panel.title, color=_TEXT, fontsize=12, loc="left", pad=6), 12)]
+    titles = [(axes.set_title(panel.title, color=TEXT, fontsize=12, loc="left", pad=6), 12)]
     if drawn < len(panel.position):
         hidden = f"{len(panel.position) - drawn} of {len(panel.position)} particles out of sight"
-        titles.append((axes.set_title(hidden, color=_TEXT, fontsize=10, loc="right", pad=6), 10))
+        titles.append((axes.set_title(hidden, color=TEXT, fontsize=10, loc="right", pad=6), 10))
     needed = sum(title.get_window_extent().width + _TITLE_GAP for title, _ in titles)
     needed -= _TITLE_GAP
     if needed > camera.width:
@@ -215,7 +214,7 @@ def _spheres(
     normal = np.vstack([normal, np.sqrt(np.maximum(1 - (normal**2).sum(axis=0), 0))])
     light = 0.62 + 0.43 * np.clip(_TOWARDS_LIGHT @ normal, 0, 1)
     wet = order < len(panel.position)
-    paint = np.full((len(order), 3), _SOLID)
+    paint = np.full((len(order), 3), SOLID)
     paint[wet] = speed_colors(panel.speed[order[wet]], top)
     image = np.zeros((height * width, 4), dtype=np.float32)
     image[filled, :3] = np.clip(paint[particle] * light[:, None], 0, 1)

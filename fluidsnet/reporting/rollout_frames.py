@@ -177,6 +177,7 @@ def draw_frames(
         scene.particle_radius,
         speed_max=speed_limit(frames),
         columns=columns,
+        gravity=scene.gravity[0].tolist(),
     )
     with Image.open(path) as picture:
         pixels = np.asarray(picture.convert("RGB"))

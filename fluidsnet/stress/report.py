@@ -95,7 +95,8 @@ def draw_failure(path: Path, case: str, start: Particles, outcome: Outcome) -> N
         # Particles far outside would make the picture a speck.
         place = state.position.clamp(scene.domain_lower - 0.5, scene.domain_upper + 0.5)
         shown.append(Panel(title, place.numpy(), state.velocity.norm(dim=1).numpy()))
-    side_by_side(path, shown, lower, upper, scene.particle_radius)
+    gravity = scene.gravity[0].tolist()
+    side_by_side(path, shown, lower, upper, scene.particle_radius, gravity=gravity)
 
 
 def _cells(case: str, by: str, it: Outcome) -> list[Cell]:

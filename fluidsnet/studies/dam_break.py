@@ -8,14 +8,14 @@ from math import prod
 from pathlib import Path
 from typing import Any, final
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from datamodules.generate.job import SolverName
 from datamodules.generate.recipe import Recipe
 from datamodules.generate.scenes import CLEARANCE, DamBreak, Vector
-from datamodules.schema import COMPRESSION, Header, SceneAttributes, create_frames
+from datamodules.schema import SceneAttributes
+from datamodules.start_file import start_header, write_start
 
 #: Edges of the paper's domain, m, and particle radius, m (section 5.1).
 DOMAIN: Vector = (6.0, 4.0, 6.0)
@@ -97,29 +97,14 @@ class Dam:
         lattice = RADIUS * (CLEARANCE + 1 + 2 * _grid(*map(np.arange, self.layers)))
         # Random offsets of up to 0.1 radii, so that no two neighbors are equally far.
         lattice += random.uniform(-0.1, 0.1, lattice.shape) * RADIUS
-        with h5py.File(path, "w") as file:
-            self._header(frame_interval).write(file)
-            group = file.create_group("00000")
-            self._scene().write(group)
-            group.attrs["seed"], group.attrs["threads"] = "[0]", 1
-            group.attrs["scene_parameters"] = "[]"
-            position, velocity = create_frames(group, len(lattice))
-            for data, values in ((position, lattice), (velocity, np.zeros_like(lattice))):
-                data.resize(frames + 1, axis=0)
-                data[:] = values.astype(np.float32)
-            group["time"] = frame_interval * np.arange(frames + 1)
-            group["solver_seconds"] = np.zeros(frames + 1)
-            group.create_dataset("solid_position", data=self._walls(), **COMPRESSION)
-
-    def _header(self, frame_interval: float) -> Header:
-        return Header(
-            scene="DamBreak",
-            solver="none",
-            solver_version="none",
-            solver_parameters={},
-            particle_radius=RADIUS,
-            support_radius=4 * RADIUS,
-            dt=frame_interval,
+        write_start(
+            path,
+            start_header("DamBreak", RADIUS, frame_interval),
+            self._scene(),
+            (lattice, np.zeros_like(lattice)),
+            self._walls(),
+            frames=frames + 1,
+            seed=[0],
         )
 
     def _scene(self) -> SceneAttributes:

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fluidsnet.export import Panel, side_by_side
+from fluidsnet.export.camera import Camera
 
 LOWER, UPPER, RADIUS = (0.0, 0.0, 0.0), (1.5, 1.0, 1.5), 0.025
 
@@ -210,3 +211,43 @@ def test_wrong_arguments(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="columns must be above zero"):
         side_by_side(path, [panel(1.0)] * 2, LOWER, UPPER, RADIUS, columns=0)
     assert not path.exists()
+
+
+@pytest.mark.parametrize(
+    ("turn", "gravity"),
+    [
+        # Rows are the axes of the scene along which x, y and z of a scene with y up are laid.
+        (((1, 0, 0), (0, 0, 1), (0, -1, 0)), (0, 0, -9.81)),  # z up
+        (((1, 0, 0), (0, 0, 1), (0, -1, 0)), (1.0, -0.5, -9.81)),  # and tilted
+        (((-1, 0, 0), (0, -1, 0), (0, 0, 1)), (0, 9.81, 0)),  # upside down
+        (((0, -1, 0), (1, 0, 0), (0, 0, 1)), (-9.81, 0, 0)),  # x up
+    ],
+)
+def test_up_is_against_gravity(
+    turn: tuple[tuple[int, ...], ...], gravity: tuple[float, float, float]
+) -> None:
+    matrix = np.array(turn, float)
+    corners = np.array([LOWER, UPPER])
+    usual = Camera(corners[0], corners[1], (640, 460), (0, -9.81, 0))
+    laid = corners @ matrix
+    camera = Camera(laid.min(axis=0), laid.max(axis=0), (640, 460), gravity)
+    points = block(5).astype(float)
+    np.testing.assert_allclose(camera.project(points @ matrix), usual.project(points), atol=1e-9)
+    assert (camera.width, camera.height) == (usual.width, usual.height)
+    floor = camera.corners()[camera.floor()] @ matrix.T
+    assert (floor[:, 1] == 0).all() and len(np.unique(floor, axis=0)) == 4
+
+
+def test_a_picture_of_a_scene_with_z_up_is_that_of_one_with_y_up(tmp_path: Path) -> None:
+    turn = np.array([(1, 0, 0), (0, 0, 1), (0, -1, 0)])
+    laid = np.array([LOWER, UPPER]) @ turn
+    pictures = []
+    for matrix, lower, upper, gravity in (
+        (np.eye(3), LOWER, UPPER, None),
+        (turn, laid.min(axis=0), laid.max(axis=0), (0, 0, -9.81)),
+    ):
+        path = tmp_path / "picture.png"
+        shown = Panel("", block(6) @ matrix, np.linspace(0, 1, 216))
+        side_by_side(path, [shown, shown], lower, upper, RADIUS, gravity=gravity)
+        pictures.append(matplotlib.image.imread(path))
+    assert np.abs(pictures[0] - pictures[1]).mean() < 1e-3

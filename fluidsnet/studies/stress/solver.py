@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
-import h5py
-import numpy as np
 import torch
 
 from datamodules.generate.job import SOLVER_STEPS, SolverName
 from datamodules.generate.replay import Replay, replay
-from datamodules.schema import Header, SceneAttributes, create_frames
+from datamodules.schema import SceneAttributes
+from datamodules.start_file import start_header, write_start
 from fluidsnet.particles import Particles
 
 #: Tolerance of the solver, per cent.
@@ -61,15 +61,7 @@ def solver_states(
 def _write(path: Path, start: Particles) -> None:
     """Write a data file of one frame."""
     scene = start.scene
-    header = Header(
-        scene="stress",
-        solver="none",
-        solver_version="none",
-        solver_parameters={},
-        particle_radius=scene.particle_radius,
-        support_radius=scene.support_radius,
-        dt=scene.time_step,
-    )
+    header = start_header("stress", scene.particle_radius, scene.time_step)
     lower, upper, gravity = (
         tuple(it[0].tolist()) for it in (scene.domain_lower, scene.domain_upper, scene.gravity)
     )
@@ -80,15 +72,6 @@ def _write(path: Path, start: Particles) -> None:
         density0=float(scene.density0[0]),
         viscosity=float(scene.viscosity[0]),
     )
-    with h5py.File(path, "w") as file:
-        header.write(file)
-        group = file.create_group("00000")
-        attributes.write(group)
-        group.attrs["scene_parameters"] = "[]"
-        for data, values in zip(
-            create_frames(group, len(start)), (start.position, start.velocity), strict=True
-        ):
-            data.resize(1, axis=0)
-            data[0] = values.numpy()
-        group["time"], group["solver_seconds"] = np.zeros(1), np.zeros(1)
-        group["solid_position"] = start.solid_position.numpy()
+    fluid = start.position.numpy(), start.velocity.numpy()
+    header = replace(header, support_radius=scene.support_radius)
+    write_start(path, header, attributes, fluid, start.solid_position.numpy())

@@ -1,0 +1,1 @@
+"""``fluidsnet simulate``: a trained model in place of the solver."""
