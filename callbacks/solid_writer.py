@@ -11,7 +11,7 @@ from lightning import Callback, LightningModule, Trainer
 
 from fluidsnet.export.vtkhdf import TrajectoryFile
 from fluidsnet.particles import Particles, RolloutStart
-from fluidsnet.reporting.file_places import file_places
+from fluidsnet.reporting.file_places import file_attributes, file_places
 from fluidsnet.reporting.results import results_folder
 from fluidsnet.rollout import RolloutObserver
 
@@ -42,7 +42,8 @@ class SolidWriter(Callback, RolloutObserver):
         for step in {1, (start.steps + 1) // 2, start.steps}:
             self._moves |= (start.solids[step][0].to(place.device) != place).any(dim=1)
         path = self._folder / "rollouts" / f"{start.name}_solids.vtkhdf"
-        self._file = TrajectoryFile(path, particles=int(self._moves.sum()))
+        attributes = file_attributes(start.state.scene)
+        self._file = TrajectoryFile(path, int(self._moves.sum()), attributes)
         self._files.enter_context(self._file)
         self._append(0, start.state)
 

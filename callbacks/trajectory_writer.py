@@ -6,13 +6,12 @@ from collections.abc import Mapping
 
 import torch
 from lightning import Callback, LightningModule, Trainer
-from numpy.typing import ArrayLike
 
 from fluidsnet.baselines import Baselines
 from fluidsnet.export.vtkhdf import TrajectoryFile
 from fluidsnet.metrics.positions import distance_mm, escaped
 from fluidsnet.particles import Particles, RolloutStart
-from fluidsnet.reporting.file_places import file_places
+from fluidsnet.reporting.file_places import file_attributes, file_places
 from fluidsnet.reporting.results import results_folder
 from fluidsnet.rollout import RolloutObserver
 
@@ -38,12 +37,7 @@ class TrajectoryWriter(Callback, RolloutObserver):
     def on_rollout_start(self, start: RolloutStart) -> None:
         """Open the file and write the first state."""
         path = self._folder / "rollouts" / f"{start.name}.vtkhdf"
-        scene = start.state.scene
-        attributes: dict[str, ArrayLike] = {
-            "particle_radius": scene.particle_radius,
-            "gravity": scene.gravity[0].tolist(),
-            "dimension": scene.dimension,
-        }
+        attributes = file_attributes(start.state.scene)
         self._file = TrajectoryFile(path, len(start.state), attributes)
         self._file.__enter__()
         zeros = dict.fromkeys(_ERRORS.values(), 0.0)

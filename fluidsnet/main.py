@@ -24,10 +24,10 @@ experiments (settings come from YAML files: --config FILE, repeated; later files
   validate   measure a trained network on the validation data
   test       measure a trained network on the test data and compare it with simple baselines
   predict    simulate with a trained network and write files for ParaView
-  export     write a rollout or a simulation as USD, PLY, BGEO or surface meshes
 
 simulation:
   simulate   simulate a scene with a trained model in place of the solver; no truth is needed
+  export     write a rollout or a simulation as USD, PLY, BGEO or surface meshes
 
 studies and reports:
   speed      compare the time per step of a network and of the SPH solver

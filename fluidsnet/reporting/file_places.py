@@ -1,14 +1,15 @@
-"""Positions in the coordinates of the data file."""
+"""Positions in the coordinates of the data file, and what trajectory files say of a scene."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from fluidsnet.particles import Particles
+from fluidsnet.scene import Scene
 
 
 def file_places(position: Tensor, state: Particles) -> NDArray[Any]:
@@ -26,3 +27,12 @@ def file_places(position: Tensor, state: Particles) -> NDArray[Any]:
         return local
     placed: NDArray[Any] = local.astype(np.float64) + np.array(origins[0])
     return placed
+
+
+def file_attributes(scene: Scene) -> dict[str, ArrayLike]:
+    """Return what a trajectory file says of a scene of one frame, for other programs."""
+    return {
+        "particle_radius": scene.particle_radius,
+        "gravity": scene.gravity[0].tolist(),
+        "dimension": scene.dimension,
+    }

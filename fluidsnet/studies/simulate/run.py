@@ -14,7 +14,7 @@ from fluidsnet.export.vtkhdf import Array, TrajectoryFile
 from fluidsnet.model import Model
 from fluidsnet.particles import Particles
 from fluidsnet.progress import Progress
-from fluidsnet.reporting.file_places import file_places
+from fluidsnet.reporting.file_places import file_attributes, file_places
 from fluidsnet.rollout import rollout
 from fluidsnet.studies.simulate.concerns import greatest_speed
 from fluidsnet.studies.simulate.interruption import Interruption
@@ -87,8 +87,10 @@ def run(
     with Interruption() as interruption, ExitStack() as files, warnings.catch_warnings():
         # `concerns` has told them.
         warnings.simplefilter("ignore")
-        fluid_file = files.enter_context(TrajectoryFile(path, len(state)))
-        solid_file = files.enter_context(TrajectoryFile(solids, count)) if count else None
+        attributes, solid_file = file_attributes(state.scene), None
+        fluid_file = files.enter_context(TrajectoryFile(path, len(state), attributes))
+        if count:
+            solid_file = files.enter_context(TrajectoryFile(solids, count, attributes))
         _store(fluid_file, course, state, 0.0)
         if solid_file is not None:
             _store_solids(solid_file, state, 0.0)
