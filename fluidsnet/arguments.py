@@ -14,6 +14,7 @@ import yaml
 from fluidsnet.errors import UserError
 from fluidsnet.models.loading import checkpoint_path, config_path, has_weights
 from fluidsnet.models.shipped import is_shipped, run_path, shipped_models
+from fluidsnet.plain_yaml import read_yaml
 
 #: Folder in which shipped models get the folder of a run.
 RUNS = Path("runs")
@@ -98,7 +99,7 @@ def _keep_metrics(folder: Path) -> None:
 
 def _base(overlay: Path) -> list[Path]:
     try:
-        values: Any = yaml.safe_load(overlay.read_text())
+        values: Any = read_yaml(overlay.read_text())
     except (OSError, UnicodeError, yaml.YAMLError):
         # The parser reads the file again and names the line of the error.
         return []

@@ -6,8 +6,10 @@ import io
 import os
 import sys
 from importlib import import_module
+from typing import NoReturn
 
 from fluidsnet.errors import UserError
+from fluidsnet.printable import printable
 
 USAGE = """usage: fluidsnet <command> [options]
 
@@ -66,9 +68,8 @@ def main(arguments: list[str] | None = None) -> None:
     # OpenMP reads this when torch is loaded. By default its threads spin while they wait; a step
     # then takes ten times as long if one other process uses a core.
     os.environ.setdefault("GOMP_SPINCOUNT", "1000")
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        # In a log file, keeps the order of tables and of progress lines on stderr.
-        sys.stdout.reconfigure(line_buffering=True)
+    if arguments is None:
+        _start_process()
     command, *options = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
     if command in ("-h", "--help"):
         print(USAGE, end="")
@@ -82,15 +83,38 @@ def main(arguments: list[str] | None = None) -> None:
         run = getattr(import_module(module), function)
         run([command, *options] if module == "fluidsnet.cli" else options)
     except UserError as error:
-        print(f"fluidsnet: {_message(error)}", file=sys.stderr)
-        sys.exit(1)
+        _fail(_message(error))
     except BrokenPipeError:
         # The reader of a pipe has ended, as in `fluidsnet inspect … | head`.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         sys.exit(141)
+    except OSError as error:
+        if error.errno is None:
+            raise
+        # A full disk, a folder that may not be written, a name that is too long.
+        _fail(f"{error.filename or command}: {error.strerror}.")
     except KeyboardInterrupt:
         print("fluidsnet: interrupted.", file=sys.stderr)
         sys.exit(130)
+
+
+def _start_process() -> None:
+    """Set up the streams of a process, and the import path of its children."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # In a log file, keeps the order of tables and of progress lines on stderr. A terminal
+            # that knows ASCII alone gets other characters as escapes.
+            stream.reconfigure(line_buffering=True, errors="backslashreplace")
+    if sys.modules["__main__"].__spec__ is None:
+        # Python would look for modules of its children in the working folder first, where data of
+        # strangers may lie; with `python -m` the user has chosen that.
+        os.environ["PYTHONSAFEPATH"] = "1"
+
+
+def _fail(message: str) -> NoReturn:
+    """Print a message to stderr and exit with status 1."""
+    print(f"fluidsnet: {printable(message)}", file=sys.stderr)
+    sys.exit(1)
 
 
 def _message(error: UserError) -> str:

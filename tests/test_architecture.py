@@ -13,12 +13,16 @@ RANKS = {
     "fluidsnet.batch": 0,
     "fluidsnet.cache": 0,
     "fluidsnet.checkpoint_io": 12,
+    "fluidsnet.child_process": 0,
     "fluidsnet.compile_cache": 0,
     "fluidsnet.console": 0,
     "fluidsnet.deprecated": 0,
     "fluidsnet.distributed": 0,
     "fluidsnet.errors": 0,
+    "fluidsnet.folder_lock": 1,
     "fluidsnet.memory": 0,
+    "fluidsnet.plain_yaml": 0,
+    "fluidsnet.printable": 0,
     "fluidsnet.progress": 0,
     "fluidsnet.rng": 0,
     "fluidsnet.same_settings": 0,
@@ -68,8 +72,11 @@ RANKS = {
 
 #: All that the data modules may know of the rest.
 KNOWN_TO_DATA = {
+    "fluidsnet.child_process",
     "fluidsnet.errors",
+    "fluidsnet.folder_lock",
     "fluidsnet.particles",
+    "fluidsnet.printable",
     "fluidsnet.progress",
     "fluidsnet.scene",
     "fluidsnet.statistics",

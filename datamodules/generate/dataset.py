@@ -16,6 +16,7 @@ import h5py
 from datamodules.generate.job import Job
 from datamodules.generate.solver import load_solver
 from datamodules.schema import SPLITS
+from fluidsnet.child_process import python_module
 from fluidsnet.errors import UserError
 from fluidsnet.progress import Progress
 
@@ -160,7 +161,7 @@ def _simulate(
     openmp = {"OMP_NUM_THREADS": str(job.threads), "OMP_WAIT_POLICY": "passive"}
     with log.open("wb") as output:
         process = subprocess.Popen(
-            [sys.executable, "-m", "datamodules.generate.solver", job_file, str(write_end)],
+            [*python_module("datamodules.generate.solver"), job_file, str(write_end)],
             stdout=output,
             stderr=subprocess.STDOUT,
             stdin=subprocess.DEVNULL,

@@ -14,6 +14,7 @@ import pandas as pd
 import yaml
 
 from fluidsnet.errors import UserError
+from fluidsnet.plain_yaml import read_yaml
 from fluidsnet.report.events import PATTERN, History, read_history
 from fluidsnet.report.tables import read_table, unique
 from fluidsnet.reporting.results import DATA_FILE, results_folders
@@ -48,7 +49,9 @@ class Run:
         try:
             yield
         except (OSError, ValueError, yaml.YAMLError) as error:
-            reason = "it is not plain YAML" if isinstance(error, yaml.YAMLError) else error
+            reason = (
+                f"it is not plain YAML ({error})" if isinstance(error, yaml.YAMLError) else error
+            )
             self.unread.append(f"{path.relative_to(self.folder)} cannot be read: {reason}.")
 
 
@@ -184,7 +187,7 @@ def _read(folder: Path, name: str) -> Run:
     if path.exists():
         with run.reading(path):
             run.config = path.read_text(encoding="utf-8")
-            config = yaml.safe_load(run.config)
+            config = read_yaml(run.config)
             if not isinstance(config, dict):
                 raise ValueError("it holds no settings")
             run.settings = flat(config)
