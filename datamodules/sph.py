@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 from collections.abc import Iterator, Sequence
 from functools import cached_property
@@ -72,7 +73,7 @@ class SPHDataModule(LightningDataModule):
         seed: int = 0,
     ) -> None:
         super().__init__()
-        self.root = Path(root)
+        self.root = Path(os.path.expandvars(root)).expanduser()
         self.voxel_size = voxel_size
         self.stride, self.steps = stride, steps
         self.frame_range, self.sample_every = frame_range, sample_every

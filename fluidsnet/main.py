@@ -6,9 +6,13 @@ import io
 import os
 import sys
 from importlib import import_module
-from typing import NoReturn
+from typing import Any, NoReturn
+
+from jsonargparse import get_loader, set_loader
+from yaml import YAMLError
 
 from fluidsnet.errors import UserError
+from fluidsnet.plain_yaml import check_size
 from fluidsnet.printable import printable
 
 USAGE = """usage: fluidsnet <command> [options]
@@ -80,6 +84,8 @@ def main(arguments: list[str] | None = None) -> None:
         sys.exit(2)
     module, function = _COMMANDS[command]
     try:
+        _bound_yaml()
+        options = list(map(_expanded, options))
         run = getattr(import_module(module), function)
         run([command, *options] if module == "fluidsnet.cli" else options)
     except UserError as error:
@@ -93,6 +99,11 @@ def main(arguments: list[str] | None = None) -> None:
             raise
         # A full disk, a folder that may not be written, a name that is too long.
         _fail(f"{error.filename or command}: {error.strerror}.")
+    except (MemoryError, RuntimeError) as error:
+        if not _lacks_memory(error):
+            raise
+        reason = " ".join(str(error).split()[:40])
+        _fail(f"not enough memory ({reason}); lower data.batch_size or raise data.voxel_size.")
     except KeyboardInterrupt:
         print("fluidsnet: interrupted.", file=sys.stderr)
         sys.exit(130)
@@ -109,6 +120,39 @@ def _start_process() -> None:
         # Python would look for modules of its children in the working folder first, where data of
         # strangers may lie; with `python -m` the user has chosen that.
         os.environ["PYTHONSAFEPATH"] = "1"
+
+
+def _lacks_memory(error: Exception) -> bool:
+    """Return whether an error of Python or of torch says that memory is full."""
+    return (
+        isinstance(error, MemoryError)
+        or type(error).__name__ == "OutOfMemoryError"
+        or "can't allocate memory" in str(error)
+    )
+
+
+def _bound_yaml() -> None:
+    """Bound the size of what configs stand for."""
+    load = get_loader("yaml")
+    if load.__name__ == "bounded":
+        return
+
+    def bounded(text: str) -> Any:
+        check_size(text)
+        return load(text)
+
+    set_loader("yaml", bounded, exceptions=(YAMLError,))
+
+
+def _expanded(argument: str) -> str:
+    """Return an argument with ``~`` or a variable at the start of its value replaced.
+
+    A shell replaces neither ``~`` behind an equals sign nor anything in quotation marks.
+    """
+    option, equals, value = argument.rpartition("=") if argument[:2] == "--" else ("", "", argument)
+    if value[:1] not in ("~", "$"):
+        return argument
+    return f"{option}{equals}{os.path.expandvars(os.path.expanduser(value))}"
 
 
 def _fail(message: str) -> NoReturn:

@@ -19,7 +19,7 @@ from torch.optim.lr_scheduler import LRScheduler
 
 from fluidsnet.baselines import TRIVIAL_PREDICTORS
 from fluidsnet.calibration import measure_residuals
-from fluidsnet.checkpoint import check, describe
+from fluidsnet.checkpoint import check, check_optimizer, describe
 from fluidsnet.checkpoint_migration import migrate
 from fluidsnet.errors import UserError
 from fluidsnet.metrics import TargetError
@@ -271,6 +271,7 @@ class FluidsNet(LightningModule):
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         migrate(checkpoint)
         if self._resuming:
+            check_optimizer(checkpoint, self.hparams)
             # Its scheduler is restored, too, with what it was built for.
             self._scheduled = checkpoint.get(_SCHEDULED, self._scheduled)
         # What varies is a fact of the training data; those at hand may have no training split.

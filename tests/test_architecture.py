@@ -27,7 +27,8 @@ RANKS = {
     "fluidsnet.rng": 0,
     "fluidsnet.same_settings": 0,
     "fluidsnet.statistics": 0,
-    "fluidsnet.export": 1,
+    "fluidsnet.whole_file": 1,
+    "fluidsnet.export": 2,
     "fluidsnet.loss": 1,
     "fluidsnet.scene": 1,
     "fluidsnet.particles": 2,
@@ -80,6 +81,7 @@ KNOWN_TO_DATA = {
     "fluidsnet.progress",
     "fluidsnet.scene",
     "fluidsnet.statistics",
+    "fluidsnet.whole_file",
 }
 
 

@@ -18,7 +18,9 @@ from datamodules.generate.solver import load_solver
 from datamodules.schema import SPLITS
 from fluidsnet.child_process import python_module
 from fluidsnet.errors import UserError
+from fluidsnet.folder_lock import folder_lock
 from fluidsnet.progress import Progress
+from fluidsnet.whole_file import write_whole
 
 
 class Plan(Protocol):
@@ -78,6 +80,13 @@ def generate(
     load_solver()
     parts = root / "parts"
     jobs = plan.jobs(parts, threads)
+    with folder_lock(root):
+        return _generate(plan, root, jobs, processes)
+
+
+def _generate(plan: Plan, root: Path, jobs: dict[str, Job], processes: int) -> list[Failure]:
+    """Run the jobs whose results are missing, and join the files."""
+    parts = root / "parts"
     _claim(root, plan.description())
     wanted = {
         split: [parts / f"{split}-{number:05d}.h5" for number in range(count)]
@@ -115,7 +124,6 @@ def generate(
 def _claim(root: Path, text: str) -> None:
     """Write a plan to the folder, or check that it equals the one already there."""
     note = root / "recipe.json"
-    root.mkdir(parents=True, exist_ok=True)
     if note.exists():
         if note.read_text() != text:
             raise UserError(
@@ -125,7 +133,7 @@ def _claim(root: Path, text: str) -> None:
     elif any((root / f"{split}.h5").exists() for split in SPLITS):
         raise UserError(f"{root} already holds data without a recipe.json; choose another --root.")
     else:
-        note.write_text(text)
+        write_whole(note, text)
 
 
 def _run(jobs: dict[str, Job], scratch: Path, processes: int, bar: Progress) -> list[Failure]:

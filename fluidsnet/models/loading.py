@@ -12,6 +12,7 @@ import torch
 import yaml
 from jsonargparse import ArgumentParser
 
+from fluidsnet.checkpoint_io import check_made_here
 from fluidsnet.checkpoint_migration import migrate
 from fluidsnet.deprecated import with_current_names
 from fluidsnet.errors import UserError
@@ -130,8 +131,9 @@ def read_checkpoint(folder: Path) -> dict[str, Any]:
     path = checkpoint_path(folder)
     try:
         checkpoint: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+        check_made_here(path, checkpoint)
         migrate(checkpoint)
-    except (OSError, EOFError, RuntimeError, KeyError, UnpicklingError) as error:
+    except (OSError, EOFError, RuntimeError, KeyError, ValueError, UnpicklingError) as error:
         raise UserError(f"{path} cannot be read; it is damaged or no checkpoint.") from error
     return checkpoint
 

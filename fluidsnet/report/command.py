@@ -6,6 +6,7 @@ from argparse import ArgumentParser
 from pathlib import Path
 
 from fluidsnet.errors import UserError
+from fluidsnet.folder_lock import folder_lock
 from fluidsnet.report.events import PATTERN
 from fluidsnet.report.page import Note, write_report
 from fluidsnet.report.results import glance, result_sections
@@ -58,7 +59,8 @@ def report_command(arguments: list[str]) -> None:
     try:
         if (folder / CONFIG).exists() or any(folder.glob(PATTERN)):
             raise UserError(f"{folder} is the folder of a run; choose another --output.")
-        page = write_report(folder, title, lead, sections)
+        with folder_lock(folder):
+            page = write_report(folder, title, lead, sections)
     except OSError as error:
         path = error.filename or folder
         raise UserError(

@@ -49,10 +49,15 @@ class Run:
         try:
             yield
         except (OSError, ValueError, yaml.YAMLError) as error:
-            reason = (
-                f"it is not plain YAML ({error})" if isinstance(error, yaml.YAMLError) else error
-            )
+            reason: object = error
+            if isinstance(error, yaml.YAMLError):
+                reason = f"it is not plain YAML ({' '.join(str(error).split())})"
             self.unread.append(f"{path.relative_to(self.folder)} cannot be read: {reason}.")
+
+    def check_inside(self, path: Path) -> None:
+        """Raise a `ValueError` if a file is a link that leads out of the folder."""
+        if not path.resolve().is_relative_to(self.folder.resolve()):
+            raise ValueError("it is a link to a file outside the folder")
 
 
 @dataclass
@@ -186,6 +191,7 @@ def _read(folder: Path, name: str) -> Run:
     path = folder / CONFIG
     if path.exists():
         with run.reading(path):
+            run.check_inside(path)
             run.config = path.read_text(encoding="utf-8")
             config = read_yaml(run.config)
             if not isinstance(config, dict):
@@ -210,6 +216,7 @@ def _read_results(results: Results, folder: Path) -> None:
         # The name in old runs.
         name = path.stem.replace("foreign_context", PERMUTED)
         with results.run.reading(path):
+            results.run.check_inside(path)
             if path.suffix == ".csv":
                 results.tables[name] = read_table(path)
             elif path.suffix == ".md":
