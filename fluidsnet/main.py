@@ -5,14 +5,16 @@ from __future__ import annotations
 import io
 import os
 import sys
+import threading
 from importlib import import_module
+from pathlib import Path
 from typing import Any, NoReturn
 
 from jsonargparse import get_loader, set_loader
 from yaml import YAMLError
 
 from fluidsnet.errors import UserError
-from fluidsnet.plain_yaml import check_size
+from fluidsnet.plain_yaml import check_size, read_text
 from fluidsnet.printable import printable
 
 USAGE = """usage: fluidsnet <command> [options]
@@ -86,6 +88,7 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         _bound_yaml()
         options = list(map(_expanded, options))
+        _check_configs(options)
         run = getattr(import_module(module), function)
         run([command, *options] if module == "fluidsnet.cli" else options)
     except UserError as error:
@@ -98,7 +101,7 @@ def main(arguments: list[str] | None = None) -> None:
         if error.errno is None:
             raise
         # A full disk, a folder that may not be written, a name that is too long.
-        _fail(f"{error.filename or command}: {error.strerror}.")
+        _fail(f"{error.filename or command}: {os.strerror(error.errno)}.")
     except (MemoryError, RuntimeError) as error:
         if not _lacks_memory(error):
             raise
@@ -116,6 +119,7 @@ def _start_process() -> None:
             # In a log file, keeps the order of tables and of progress lines on stderr. A terminal
             # that knows ASCII alone gets other characters as escapes.
             stream.reconfigure(line_buffering=True, errors="backslashreplace")
+    threading.excepthook = _in_thread
     if sys.modules["__main__"].__spec__ is None:
         # Python would look for modules of its children in the working folder first, where data of
         # strangers may lie; with `python -m` the user has chosen that.
@@ -144,6 +148,16 @@ def _bound_yaml() -> None:
     set_loader("yaml", bounded, exceptions=(YAMLError,))
 
 
+def _check_configs(options: list[str]) -> None:
+    """Check that config files are text, since the parsers do not name one that is not."""
+    for index, option in enumerate(options):
+        name, _, value = option.partition("=")
+        if name in ("--config", "-c"):
+            path = Path(value or "".join(options[index + 1 : index + 2]))
+            if path.is_file():
+                read_text(path)
+
+
 def _expanded(argument: str) -> str:
     """Return an argument with ``~`` or a variable at the start of its value replaced.
 
@@ -153,6 +167,12 @@ def _expanded(argument: str) -> str:
     if value[:1] not in ("~", "$"):
         return argument
     return f"{option}{equals}{os.path.expandvars(os.path.expanduser(value))}"
+
+
+def _in_thread(failed: threading.ExceptHookArgs) -> None:
+    """Print the traceback of a thread, but of a full disk, which the main thread names."""
+    if not issubclass(failed.exc_type, OSError):
+        threading.__excepthook__(failed)
 
 
 def _fail(message: str) -> NoReturn:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import yaml
+
+from fluidsnet.errors import UserError
 
 #: Most values that a text may stand for once its aliases are replaced.
 MOST_VALUES = 100_000
@@ -19,6 +22,18 @@ def read_yaml(text: str) -> Any:
     """
     check_size(text)
     return yaml.safe_load(text)
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a config file.
+
+    Raises:
+        UserError: It is not UTF-8.
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path} is not UTF-8 text; save it as UTF-8.") from error
 
 
 def check_size(text: str) -> None:

@@ -32,7 +32,7 @@ def whole_file(path: Path) -> Iterator[Path]:
         if error.errno is None:
             raise
         kept = "; the earlier one is whole" if path.exists() else ""
-        raise UserError(f"{path} cannot be written: {error.strerror}{kept}.") from error
+        raise UserError(f"{path} cannot be written: {os.strerror(error.errno)}{kept}.") from error
     finally:
         if partial.exists():
             partial.unlink()

@@ -21,7 +21,7 @@ RANKS = {
     "fluidsnet.errors": 0,
     "fluidsnet.folder_lock": 1,
     "fluidsnet.memory": 0,
-    "fluidsnet.plain_yaml": 0,
+    "fluidsnet.plain_yaml": 1,
     "fluidsnet.printable": 0,
     "fluidsnet.progress": 0,
     "fluidsnet.rng": 0,

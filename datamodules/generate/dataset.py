@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -20,7 +21,10 @@ from fluidsnet.child_process import python_module
 from fluidsnet.errors import UserError
 from fluidsnet.folder_lock import folder_lock
 from fluidsnet.progress import Progress
-from fluidsnet.whole_file import write_whole
+from fluidsnet.whole_file import whole_file, write_whole
+
+#: Words in the messages of a process that ran out of disk.
+_FULL = re.compile("No space left on device|errno = 28|Errno 28")
 
 
 class Plan(Protocol):
@@ -145,6 +149,11 @@ def _run(jobs: dict[str, Job], scratch: Path, processes: int, bar: Progress) -> 
         try:
             for future in as_completed(futures):
                 if failure := future.result():
+                    if _FULL.search(failure.reason):
+                        raise UserError(
+                            f"{scratch.parent}: No space left on device; make room and repeat the "
+                            "command: complete simulations are kept."
+                        )
                     failures.append(failure)
                     bar.write(
                         f"{failure.name} (seed {failure.seed}) failed and is left out: "
@@ -205,10 +214,8 @@ def _join(target: Path, sources: list[Path], failures: list[Failure]) -> None:
                 f"the first with {failed[0].reason}"
             )
         return
-    partial = target.with_suffix(".h5.tmp")
-    with h5py.File(partial, "w") as file:
+    with whole_file(target) as partial, h5py.File(partial, "w") as file:
         for source in sources:
             with h5py.File(source, "r") as part:
                 file.attrs.update(part.attrs)
                 part.copy("00000", file, name=source.stem.rpartition("-")[2])
-    partial.replace(target)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import final
@@ -95,6 +96,12 @@ class GlobalVector(GlobalFeature):
         self.voxel = VoxelFeature(inputs, voxel_widths)
         channels = self.voxel.width
         self._check_memory(1, torch.device("cpu"))
+        if math.prod(grid_shape) == 1:
+            warnings.warn(
+                "GlobalVector has a grid of one cell, so it sees no more than means over all "
+                "particles; lower data.voxel_size.",
+                stacklevel=2,
+            )
         self.stack = nn.ModuleList(
             nn.Conv3d(channels, channels, kernel, kernel, groups=channels if separable else 1)
             for kernel in kernel_shapes(grid_shape)
