@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import sys
 import threading
 from importlib import import_module
@@ -50,6 +51,9 @@ or the name of a model that ships with the package: box_drops, box_drops_40ms, b
 cuboid_basin_small, dam_break_small, drop_pool_small. `--run box_drops` writes to runs/box_drops.
 `fluidsnet <command> --help` lists the options of a command.
 """
+
+# In an error of HDF5, the file and the number of the system's error.
+_NOT_WRITTEN = re.compile(r"filename = '([^']+)'.*errno = (\d+)", re.DOTALL)
 
 # Command to module and function. Modules are imported on demand: some take seconds, and the
 # solver must not be loaded for training.
@@ -103,6 +107,8 @@ def main(arguments: list[str] | None = None) -> None:
         # A full disk, a folder that may not be written, a name that is too long.
         _fail(f"{error.filename or command}: {os.strerror(error.errno)}.")
     except (MemoryError, RuntimeError) as error:
+        if written := _NOT_WRITTEN.search(str(error)):
+            _fail(f"{written[1]} cannot be written: {os.strerror(int(written[2]))}.")
         if not _lacks_memory(error):
             raise
         reason = " ".join(str(error).split()[:40])

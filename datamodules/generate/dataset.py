@@ -24,7 +24,7 @@ from fluidsnet.progress import Progress
 from fluidsnet.whole_file import whole_file, write_whole
 
 #: Words in the messages of a process that ran out of disk.
-_FULL = re.compile("No space left on device|errno = 28|Errno 28")
+_FULL = re.compile(r"No space left on device|File too large|[Ee]rrno(?: =)? (?:27|28)\b")
 
 
 class Plan(Protocol):
@@ -151,8 +151,8 @@ def _run(jobs: dict[str, Job], scratch: Path, processes: int, bar: Progress) -> 
                 if failure := future.result():
                     if _FULL.search(failure.reason):
                         raise UserError(
-                            f"{scratch.parent}: No space left on device; make room and repeat the "
-                            "command: complete simulations are kept."
+                            f"{scratch.parent}: no space left on the disk; make room and repeat "
+                            "the command: complete simulations are kept."
                         )
                     failures.append(failure)
                     bar.write(

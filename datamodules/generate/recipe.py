@@ -73,8 +73,8 @@ class Recipe:
             raise UserError(f"solver_step is {self.step}; it must be above zero.")
         if not all(map(math.isfinite, (self.frame_interval, *self.gravity))):
             raise UserError(
-                f"frame_interval is {self.frame_interval}, and gravity {self.gravity}; they must be "
-                "finite."
+                f"frame_interval is {self.frame_interval}, and gravity {self.gravity}; they must "
+                "be finite."
             )
         if self.seed < 0:
             raise UserError(f"seed is {self.seed}; it must be at least 0.")
