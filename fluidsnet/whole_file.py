@@ -31,8 +31,10 @@ def whole_file(path: Path) -> Iterator[Path]:
     except OSError as error:
         if error.errno is None:
             raise
-        kept = "; the earlier one is whole" if path.exists() else ""
-        raise UserError(f"{path} cannot be written: {os.strerror(error.errno)}{kept}.") from error
+        kept = "; the earlier one is whole" if path.is_file() else ""
+        raise UserError(
+            f"{path} cannot be written: {os.strerror(error.errno)}{kept}; choose another folder."
+        ) from error
     finally:
         if partial.exists():
             partial.unlink()

@@ -56,15 +56,9 @@ def report_command(arguments: list[str]) -> None:
         # The paths . and .. name no parent.
         first = (first.resolve() if first.name in ("", "..") else first).parent
     folder: Path = options.output or first / "report"
-    try:
-        if (folder / CONFIG).exists() or any(folder.glob(PATTERN)):
-            raise UserError(f"{folder} is the folder of a run; choose another --output.")
-        with folder_lock(folder):
-            page = write_report(folder, title, lead, sections)
-    except OSError as error:
-        path = error.filename or folder
-        raise UserError(
-            f"{path} cannot be written: {error.strerror}; choose another --output."
-        ) from error
+    if (folder / CONFIG).exists() or any(folder.glob(PATTERN)):
+        raise UserError(f"{folder} is the folder of a run; choose another --output.")
+    with folder_lock(folder):
+        page = write_report(folder, title, lead, sections)
     print(page)
     print(f"{folder}/report.md and *.csv hold the same tables.")
