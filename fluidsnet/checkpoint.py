@@ -14,6 +14,8 @@ NOTE = "fluidsnet_models"
 #: Prefix of the models' weights in the state dict.
 PREFIX = "models."
 _GRID, _DIMENSION = "grid_shape", "dimension"
+# Key of the hyperparameters of a module that was built from a config.
+_FROM_CONFIG = "_class_path"
 
 Note = dict[str, dict[str, Any]]
 
@@ -148,6 +150,9 @@ def check_optimizer(checkpoint: Mapping[str, Any], settings: Mapping[str, Any]) 
         UserError: One differs.
     """
     saved: Mapping[str, Any] = checkpoint.get("hyper_parameters", {})
+    if not all(_FROM_CONFIG in it for it in (saved, settings)):
+        # Of a module built in Python, blocks are not known.
+        return
     for block in ("optimizer", "schedule"):
         there, here = (_flat(it.get(block), f"model.{block}") for it in (saved, settings))
         for name in {**there, **here} if there and here else ():
