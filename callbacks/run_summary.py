@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from typing import Any
 
 import torch
 from lightning import Callback, LightningModule, Trainer
 
-from fluidsnet.folder_lock import folder_lock
+from fluidsnet.folder_lock import FolderLock
 from fluidsnet.reporting.results import results_folder
 from fluidsnet.reporting.run_folder import run_folder
 
@@ -26,7 +25,7 @@ class RunSummary(Callback):
     """
 
     def __init__(self) -> None:
-        self._lock = ExitStack()
+        self._lock: FolderLock | None = None
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
         """Look up the folder, which all processes must do together, and lock it.
@@ -39,16 +38,18 @@ class RunSummary(Callback):
         # A validation writes nothing but events, each process to a file of its own.
         writes = stage != "validate" and not getattr(trainer, "fast_dev_run", False)
         if writes and trainer.is_global_zero:
-            self._lock.enter_context(folder_lock(self._folder))
+            self._lock = FolderLock(self._folder).__enter__()
 
     def teardown(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
         """Let other processes write to the folder."""
-        self._lock.close()
+        if self._lock is not None:
+            self._lock.close()
 
     def on_exception(
         self, trainer: Trainer, pl_module: LightningModule, exception: BaseException
     ) -> None:
-        self._lock.close()
+        if self._lock is not None:
+            self._lock.close()
 
     def on_validation_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         if trainer.state.fn == "validate":

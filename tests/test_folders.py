@@ -16,7 +16,7 @@ import pytest
 
 from datamodules.generate.command import generate_command
 from fluidsnet.errors import UserError
-from fluidsnet.folder_lock import folder_lock
+from fluidsnet.folder_lock import FolderLock
 from fluidsnet.main import main
 from fluidsnet.whole_file import whole_file, write_whole
 
@@ -61,7 +61,7 @@ def test_a_file_that_is_interrupted_is_the_earlier_one(tmp_path: Path) -> None:
 
 
 def hold(folder: Path, held: Event) -> None:
-    with folder_lock(folder):
+    with FolderLock(folder):
         held.set()
         signal.pause()
 
@@ -91,10 +91,10 @@ def test_a_folder_has_one_process_at_a_time(
 ) -> None:
     other = holding(tmp_path / "run")
     with pytest.raises(UserError, match="run is in use by another process"):
-        folder_lock(tmp_path / "run").__enter__()
+        FolderLock(tmp_path / "run").__enter__()
     other.kill()
     other.join()
-    with folder_lock(tmp_path / "run"):
+    with FolderLock(tmp_path / "run"):
         assert list((tmp_path / "run").iterdir()) == []
 
 

@@ -19,7 +19,7 @@ from datamodules.generate.solver import load_solver
 from datamodules.schema import SPLITS
 from fluidsnet.child_process import python_module
 from fluidsnet.errors import UserError
-from fluidsnet.folder_lock import folder_lock
+from fluidsnet.folder_lock import FolderLock
 from fluidsnet.progress import Progress
 from fluidsnet.whole_file import whole_file, write_whole
 
@@ -84,7 +84,7 @@ def generate(
     load_solver()
     parts = root / "parts"
     jobs = plan.jobs(parts, threads)
-    with folder_lock(root):
+    with FolderLock(root):
         return _generate(plan, root, jobs, processes)
 
 

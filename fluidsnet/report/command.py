@@ -6,7 +6,7 @@ from argparse import ArgumentParser
 from pathlib import Path
 
 from fluidsnet.errors import UserError
-from fluidsnet.folder_lock import folder_lock
+from fluidsnet.folder_lock import FolderLock
 from fluidsnet.report.events import PATTERN
 from fluidsnet.report.page import Note, write_report
 from fluidsnet.report.results import glance, result_sections
@@ -58,7 +58,7 @@ def report_command(arguments: list[str]) -> None:
     folder: Path = options.output or first / "report"
     if (folder / CONFIG).exists() or any(folder.glob(PATTERN)):
         raise UserError(f"{folder} is the folder of a run; choose another --output.")
-    with folder_lock(folder):
+    with FolderLock(folder):
         page = write_report(folder, title, lead, sections)
     print(page)
     print(f"{folder}/report.md and *.csv hold the same tables.")

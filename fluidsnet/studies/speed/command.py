@@ -15,7 +15,7 @@ from typing import Any
 import torch
 
 from datamodules.generate.solver import load_solver
-from fluidsnet.folder_lock import folder_lock
+from fluidsnet.folder_lock import FolderLock
 from fluidsnet.progress import Progress
 from fluidsnet.studies.dam_break import Dam
 from fluidsnet.studies.machine import BUSY, OtherLoad, cpu_model, versions
@@ -46,7 +46,7 @@ def speed_command(arguments: list[str]) -> None:
         arguments,
     )
     study = Study(options)
-    with folder_lock(study.folder):
+    with FolderLock(study.folder):
         shutil.rmtree(study.work, ignore_errors=True)
         study.work.mkdir(parents=True)
         try:

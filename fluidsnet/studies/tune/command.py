@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 
 from datamodules.reader import FrameReader
 from fluidsnet.errors import UserError
-from fluidsnet.folder_lock import folder_lock
+from fluidsnet.folder_lock import FolderLock
 from fluidsnet.models import load
 from fluidsnet.priors import Prior
 from fluidsnet.progress import Progress
@@ -86,7 +86,7 @@ def tune_command(arguments: list[str]) -> None:
     )
     torch.set_num_threads(options.threads)
     found = Fit(options)
-    with folder_lock(Path(options.output)):
+    with FolderLock(Path(options.output)):
         found.run()
         print(found.write())
     print(f"Written to {options.output}: prior.yaml and tune.csv.")
