@@ -16,6 +16,7 @@ from fluidsnet.particles import Particles, RolloutStart
 from fluidsnet.reporting.results import results_folder
 from fluidsnet.reporting.table import write_table
 from fluidsnet.rollout import RolloutObserver
+from fluidsnet.whole_file import whole_file
 
 #: Columns of the table.
 HEADER = (
@@ -117,4 +118,5 @@ class EnergyRecord(Callback, RolloutObserver):
             axes.set(xlabel="time, s", ylabel=label)
             axes.grid(alpha=0.3)
             axes.legend(fontsize=8)
-        figure.savefig(self._folder / "energy.png")
+        with whole_file(self._folder / "energy.png") as partial:
+            figure.savefig(partial)

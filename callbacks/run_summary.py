@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from lightning import Callback, LightningModule, Trainer
 
+from fluidsnet.folder_lock import FolderLock
 from fluidsnet.reporting.results import results_folder
 from fluidsnet.reporting.run_folder import run_folder
 
@@ -23,10 +24,32 @@ class RunSummary(Callback):
         results  runs/demo
     """
 
+    def __init__(self) -> None:
+        self._lock: FolderLock | None = None
+
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        """Look up the folder, which all processes must do together."""
+        """Look up the folder, which all processes must do together, and lock it.
+
+        Raises:
+            UserError: Another process writes to the folder, or it cannot be written.
+        """
         measures = stage in ("test", "predict")
         self._folder = results_folder(trainer) if measures else run_folder(trainer)
+        # A validation writes nothing but events, each process to a file of its own.
+        writes = stage != "validate" and not getattr(trainer, "fast_dev_run", False)
+        if writes and trainer.is_global_zero:
+            self._lock = FolderLock(self._folder).__enter__()
+
+    def teardown(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
+        """Let other processes write to the folder."""
+        if self._lock is not None:
+            self._lock.close()
+
+    def on_exception(
+        self, trainer: Trainer, pl_module: LightningModule, exception: BaseException
+    ) -> None:
+        if self._lock is not None:
+            self._lock.close()
 
     def on_validation_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         if trainer.state.fn == "validate":

@@ -15,6 +15,7 @@ from datamodules.schema import DAMAGE, Header, SceneAttributes, open_valid, simu
 from datamodules.suspicions import Suspicions
 from fluidsnet.checksums import verify
 from fluidsnet.errors import UserError
+from fluidsnet.printable import printable
 from fluidsnet.progress import Progress
 
 #: Texts of `_scene_texts` that are not worth a line.
@@ -29,18 +30,18 @@ _USUAL = {
 
 def inspect_simulation(
     group: h5py.Group, header: Header
-) -> tuple[dict[str, object], list[NDArray[np.float64]], list[str]]:
+) -> tuple[dict[str, object], list[NDArray[np.float64]], list[str], list[str]]:
     """Summarize a simulation, reading it frame by frame.
 
     Returns:
         Row of a table; corners of the fluid's bounding box over all frames, m; and sentences
-        on suspicious values.
+        on damage and on suspicious values.
     """
     name = group.name.lstrip("/")
     scene = SceneAttributes.read(group)
     frames, fluid = group["position"].shape[:2]
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
-    suspicions = Suspicions(scene, header.particle_radius, header.dt)
+    suspicions = Suspicions(scene, header)
     for frame in Progress(range(frames), desc=f"reading /{name}", unit="frame", leave=False):
         position = group["position"][frame].astype(np.float64)
         if suspicions.add(frame, position, group["velocity"][frame].astype(np.float64)):
@@ -55,9 +56,9 @@ def inspect_simulation(
         "fluid": fluid,
         "solid": group["solid_position"].shape[-2],
         "fastest m/s": f"{suspicions.fastest:.2f}",
-        "solver s per s (threads)": f"{cost:.1f} ({group.attrs.get('threads', '?')})",
+        "solver s per s (threads)": f"{cost:.1f} ({_threads(group)})",
     }
-    return row, [lower, upper], suspicions.sentences(group)
+    return row, [lower, upper], suspicions.damage(group), suspicions.sentences(group)
 
 
 def describe(path: Path) -> str:
@@ -79,14 +80,14 @@ def describe(path: Path) -> str:
     differ = {name for scene in scenes for name in scene if scene[name] != scenes[0][name]}
     rows = [
         row | {name: text for name, text in scene.items() if name in differ}
-        for (row, _, _), scene in zip(reports, scenes, strict=True)
+        for (row, *_), scene in zip(reports, scenes, strict=True)
     ]
     shared = {
         name: text
         for name, text in scenes[0].items()
         if name not in differ and text != _USUAL.get(name)
     }
-    corners = np.array([corners for _, corners, _ in reports])
+    corners = np.array([corners for _, corners, *_ in reports])
     about = {
         "scene": header.scene,
         "solver": f"{header.solver}, version {header.solver_version}",
@@ -103,9 +104,18 @@ def describe(path: Path) -> str:
         f"  fluid lies between ({_vector(corners[:, 0].min(axis=0))}) and "
         f"({_vector(corners[:, 1].max(axis=0))}) m",
     ]
-    suspicions = [f"  /{row['simulation']}: {text}" for row, _, texts in reports for text in texts]
-    lines += ["", "suspicious:", *suspicions] if suspicions else ["  nothing suspicious"]
-    return "\n".join(lines)
+    for title, kind in (("damaged, and refused by fit, test and predict", 2), ("suspicious", 3)):
+        texts = [f"  /{it[0]['simulation']}: {text}" for it in reports for text in it[kind]]
+        lines += ["", f"{title}:", *texts] if texts else []
+    if not any(it[2] or it[3] for it in reports):
+        lines.append("  nothing suspicious")
+    return printable("\n".join(lines))
+
+
+def _threads(group: h5py.Group) -> str:
+    """Return the number of threads of the solver; a question mark where the file has none."""
+    count = np.asarray(group.attrs.get("threads", "?"))
+    return str(count) if count.dtype.kind in "iu" and count.ndim == 0 else "?"
 
 
 def _scene_texts(group: h5py.Group) -> dict[str, str]:

@@ -31,7 +31,7 @@ def grid_shape(scene: Scene, voxel_size: float) -> tuple[int, int, int]:
         raise UserError(
             f"data.voxel_size is {voxel_size:g} m, which gives {x:,} x {y:,} x {shape[2]:,} cells "
             f"in a box of {' x '.join(f'{edge:g}' for edge in scene.edges[0])} m; set a larger "
-            "one, of a few support radii."
+            "one, of a few support radii. Lengths in data files are in m."
         )
     return shape
 

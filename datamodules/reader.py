@@ -11,9 +11,12 @@ from typing import Any, SupportsFloat, final
 import h5py
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from datamodules.damage import is_zero
 from datamodules.schema import DAMAGE, LENGTHS, Header, SceneAttributes, open_valid, simulations
+from datamodules.storage import open_file
 from datamodules.values import NO_ORIGIN, Vector, as_tensor, check_finite, origin_of
 from fluidsnet.checksums import sha256_of, verify
 from fluidsnet.errors import UserError
@@ -118,8 +121,14 @@ class FrameReader:
     def fluid(self, simulation: str, frame: int) -> tuple[Tensor, Tensor]:
         """Read position, m, and velocity, m/s, of the fluid particles, each (N, 3)."""
         what = f"frame {frame} of /{simulation}"
-        position = self._read(f"{simulation}/position", frame, what)
-        return position, self._read(f"{simulation}/velocity", frame, what)
+        names = f"{simulation}/position", f"{simulation}/velocity"
+        values = self._values(names[0], frame, what)
+        if is_zero(values):
+            raise UserError(
+                f"{self.path}: {what} is all zero; leave it out with data.frame_range, or write "
+                "the file again without it. `fluidsnet inspect` lists such frames."
+            )
+        return self._finite(values, names[0], what), self._read(names[1], frame, what)
 
     def state(self, simulation: str, frame: int, stride: int) -> Particles:
         """Read one frame with its solids, in the scene for steps of this many frames."""
@@ -152,13 +161,21 @@ class FrameReader:
         self._handle = None
 
     def _read(self, name: str, index: int | tuple[()], what: str) -> Tensor:
-        simulation, _, data = name.partition("/")
+        return self._finite(self._values(name, index, what), name, what)
+
+    def _values(self, name: str, index: int | tuple[()], what: str) -> NDArray[Any]:
+        """Read values as they are stored."""
         try:
-            values = self._file()[name][index]
+            values: NDArray[Any] = self._file()[name][index]
         except DAMAGE as error:
             raise UserError(
                 f"{self.path}: {what} cannot be read; the file is damaged or gone ({error})."
             ) from error
+        return values
+
+    def _finite(self, values: NDArray[Any], name: str, what: str) -> Tensor:
+        """Return values as float32, relative to the origin; they must be finite."""
+        simulation, _, data = name.partition("/")
         origin = self._origins[simulation] if data.endswith("position") else NO_ORIGIN
         read = as_tensor(values, origin)
         check_finite(read, self.path, data, what)
@@ -169,7 +186,7 @@ class FrameReader:
             if self._handle is not None:
                 # Inherited across a fork; h5py would return it again while it is open.
                 self._handle.close()
-            self._handle = h5py.File(self.path, "r")
+            self._handle = open_file(self.path)
             self._process = os.getpid()
         return self._handle
 

@@ -28,8 +28,9 @@ import h5py
 import numpy as np
 
 from datamodules.guard import guarded
-from datamodules.storage import check_links, check_stored
+from datamodules.storage import check_links, check_stored, open_file
 from fluidsnet.errors import UserError
+from fluidsnet.printable import printable
 
 #: Version that is written.
 SCHEMA_VERSION = 2
@@ -43,6 +44,9 @@ SPLITS = ("train", "val", "test")
 #: dam break and writes 4,900 particles in 1.8 ms; level 9 takes 3.0 ms for 75 %, lzf 0.7 ms for
 #: 81 % (median of 13 frames, three times, each written to memory on one core).
 COMPRESSION: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+
+#: Most characters of the name of a simulation, by which files are named.
+LONGEST_NAME = 100
 
 #: Exceptions that h5py raises for a damaged file.
 DAMAGE = (OSError, KeyError, RuntimeError)
@@ -151,11 +155,14 @@ class Header:
         """Read the attributes of an open, valid file."""
         values: dict[str, Any] = {field.name: file.attrs[field.name] for field in fields(cls)}
         values["solver_parameters"] = json.loads(values["solver_parameters"])
-        return cls(**values | {name: float(values[name]) for name in LENGTHS})
+        texts = {name: printable(str(values[name])) for name in TEXTS}
+        return cls(**values | texts | {name: float(values[name]) for name in LENGTHS})
 
 
 #: Attributes of the file that are one positive number.
 LENGTHS = ("particle_radius", "support_radius", "dt")
+#: Attributes of the file that are text.
+TEXTS = ("scene", "solver", "solver_version")
 
 
 def simulations(file: h5py.File) -> list[str]:
@@ -164,7 +171,11 @@ def simulations(file: h5py.File) -> list[str]:
     These are the groups whose name is a number or that have a data set `position`.
     """
     groups = (name for name in file if isinstance(file[name], h5py.Group))
-    return sorted(name for name in groups if name.isdecimal() or "position" in file[name])
+    return sorted(
+        name
+        for name in groups
+        if name.isdecimal() or isinstance(file[name].get("position"), h5py.Dataset)
+    )
 
 
 def create_frames(
@@ -198,25 +209,23 @@ def open_valid(path: Path) -> h5py.File:
         UserError: it has another format; the message names the file, the group, the data set
             and the expected value.
     """
-    if not path.is_file():
-        raise UserError(f"{path}: there is no such file; make it with `fluidsnet generate`.")
     guarded(path, lambda: _open_checked(path))
     return _open_checked(path)
 
 
 def _open_checked(path: Path) -> h5py.File:
-    try:
-        file = h5py.File(path, "r")
-    except OSError as error:
-        raise UserError(
-            f"{path}: not a whole HDF5 file (damaged, truncated, or of another format): {error}."
-        ) from error
+    file = open_file(path)
     try:
         _check_header(file)
         check_links(file)
         if not simulations(file):
             raise UserError("no simulation in it; expected groups such as /00000.")
         for name in simulations(file):
+            if not name.isprintable() or len(name) > LONGEST_NAME:
+                raise UserError(
+                    f"the group {name[:LONGEST_NAME]!r} must have a name of at most "
+                    f"{LONGEST_NAME} printable characters."
+                )
             _check_simulation(file[name])
     except (UserError, *DAMAGE) as error:
         file.close()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import os
 import random
 from collections.abc import Iterator, Sequence
 from functools import cached_property
@@ -73,7 +75,7 @@ class SPHDataModule(LightningDataModule):
         seed: int = 0,
     ) -> None:
         super().__init__()
-        self.root = Path(root)
+        self.root = Path(os.path.expandvars(root)).expanduser()
         self.voxel_size = voxel_size
         self.stride, self.steps = stride, steps
         self.frame_range, self.sample_every = frame_range, sample_every
@@ -85,8 +87,8 @@ class SPHDataModule(LightningDataModule):
         counts = ("stride", "steps", "sample_every", "batch_size", *rollouts)
         for name, least in {"voxel_size": 1e-9, "workers": 0, **dict.fromkeys(counts, 1)}.items():
             value = getattr(self, name)
-            if value is not None and not value >= least:  # also refuses NaN
-                raise UserError(f"data.{name} is {value}; it must be at least {least}.")
+            if value is not None and not least <= value < math.inf:  # also refuses NaN
+                raise UserError(f"data.{name} is {value}; it must be finite and at least {least}.")
         first, end = frame_range
         if first < 0 or (end is not None and end <= first):
             raise UserError(

@@ -1,4 +1,4 @@
-"""Suspicious values of a simulation, found frame by frame."""
+"""Damage and suspicious values of a simulation, found frame by frame."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from datamodules.schema import SceneAttributes
+from datamodules.damage import is_repeated, is_zero
+from datamodules.fall import Fall
+from datamodules.schema import Header, SceneAttributes
 from datamodules.values import rounding
 
 Array = NDArray[np.float64]
@@ -20,14 +22,15 @@ class Suspicions:
 
     Args:
         scene: Scene of the simulation.
-        particle_radius: m.
-        interval: Time between two frames, s.
+        header: Attributes of the file.
     """
 
-    def __init__(self, scene: SceneAttributes, particle_radius: float, interval: float) -> None:
-        self._scene, self._radius, self._interval = scene, particle_radius, interval
-        self._lower = np.subtract(scene.domain_lower, particle_radius)
-        self._upper = np.add(scene.domain_upper, particle_radius)
+    def __init__(self, scene: SceneAttributes, header: Header) -> None:
+        self._scene, self._interval = scene, header.dt
+        self._radius, self._support = header.particle_radius, header.support_radius
+        self._lower = np.subtract(scene.domain_lower, header.particle_radius)
+        self._upper = np.add(scene.domain_upper, header.particle_radius)
+        self._fall = Fall(scene.gravity, header.particle_radius)
         self._width = np.subtract(scene.domain_upper, scene.domain_lower)
         self._before: tuple[Array, Array] | None = None
         self._bad: list[int] = []
@@ -49,8 +52,9 @@ class Suspicions:
             self._before = None
             return False
         self.fastest = max(self.fastest, float(np.linalg.norm(velocity, axis=1).max()))
-        if len(position) > 1 and not position.any():
+        if is_zero(position):
             self._zero.append(frame)
+        self._fall.add(position, velocity)
         outside = np.any((position < self._lower) | (position > self._upper), axis=1)
         self._escaped = max(self._escaped, int(outside.sum()))
         if self._before is not None:
@@ -62,7 +66,11 @@ class Suspicions:
         self, frame: int, position: Array, velocity: Array, earlier: Array, speed: Array
     ) -> None:
         step = position - earlier
-        if speed.any() and not step.any():
+        # Across periodic axes by the shortest way.
+        periodic = np.array(self._scene.periodic)
+        step -= np.where(periodic, np.round(step / self._width) * self._width, 0.0)
+        path = self._interval * np.abs(velocity).max()
+        if is_repeated(earlier, position, path, self._radius):
             self._twice.append(frame)
         if (np.abs(step) > 0.8 * self._width).any():
             self._wrapped.append(frame)
@@ -73,16 +81,24 @@ class Suspicions:
         jump = np.linalg.norm(moved, axis=1) - self._interval * lengths / 8
         self._worst_jump = max(self._worst_jump, float(np.quantile(jump, 0.99)))
 
+    def damage(self, group: h5py.Group) -> list[str]:
+        """Return what no command takes from the file."""
+        found = {"not finite": self._bad, "all zero": self._zero}
+        sentences = [
+            f"{_frames(numbers)} {what}, the first is {numbers[0]}"
+            for what, numbers in found.items()
+            if numbers
+        ]
+        if not np.isfinite(_solids(group)).all():
+            sentences.append("solids are not finite")
+        return sentences
+
     def sentences(self, group: h5py.Group) -> list[str]:
-        """Return what was found, and what the data sets of the simulation show by themselves."""
+        """Return what is suspicious in the frames and in the storage of the simulation."""
         far = float(np.abs([self._scene.domain_lower, self._scene.domain_upper]).max())
         stored = group["position"]
         times = np.diff(group["time"][()])
         found: dict[str, Any] = {
-            f"{_frames(self._bad)} not finite, the first is {min(self._bad, default=0)}": self._bad,
-            f"{_frames(self._zero)} all zero, the first is {min(self._zero, default=0)}": (
-                self._zero
-            ),
             f"{_frames(self._twice)} the same as the one before though the fluid moves, the first "
             f"is {min(self._twice, default=0)}": self._twice,
             "particles cross the whole box within a frame, first in "
@@ -102,25 +118,30 @@ class Suspicions:
             "as float64": stored.dtype.itemsize < 8 and rounding(far) > self._radius / 100,
             f"a chunk of positions holds {_chunk(stored)} frames, all of which are read for one; "
             "store one frame a chunk": _chunk(stored) > 1,
-            **self._of_solids(group["solid_position"]),
+            **self._of_solids(_solids(group)),
         }
-        return [text for text, is_so in found.items() if is_so]
+        swapped = self._fall.sentence() if group["solid_position"].ndim == 2 else None
+        return [text for text, is_so in found.items() if is_so] + ([swapped] if swapped else [])
 
-    def _of_solids(self, stored: h5py.Dataset) -> dict[str, bool]:
-        solids = np.asarray(stored[0] if stored.ndim == 3 else stored[()], np.float64)
-        if not len(solids):
+    def _of_solids(self, solids: Array) -> dict[str, bool]:
+        if not len(solids) or not np.isfinite(solids).all():
             return {}
-        finite = bool(np.isfinite(solids).all())
-        reach = np.max(self._width)
-        far = finite and bool(
-            ((solids < self._lower - reach) | (solids > self._upper + reach)).any()
-        )
+        beyond = np.maximum(self._lower - solids, solids - self._upper).max(axis=1)
+        outside = int((beyond > self._support).sum())
+        far = beyond.max() > np.max(self._width)
         same = len(solids) - len(np.unique(solids, axis=0))
         return {
-            "solids are not finite": not finite,
             "solids are farther from the domain than it is wide: units may differ": far,
+            f"{outside} of {len(solids)} solids are more than a support radius outside the "
+            "domain": outside > 0 and not far,
             f"{same} solids are at the place of another": same > len(solids) / 100,
         }
+
+
+def _solids(group: h5py.Group) -> Array:
+    """Return the positions (M, 3) of the solids, m, those of the first frame where they move."""
+    stored = group["solid_position"]
+    return np.asarray(stored[0] if stored.ndim == 3 else stored[()], np.float64)
 
 
 def _frames(numbers: list[int]) -> str:

@@ -14,6 +14,7 @@ import yaml
 from fluidsnet.errors import UserError
 from fluidsnet.models.loading import checkpoint_path, config_path, has_weights
 from fluidsnet.models.shipped import is_shipped, run_path, shipped_models
+from fluidsnet.plain_yaml import read_text, read_yaml
 
 #: Folder in which shipped models get the folder of a run.
 RUNS = Path("runs")
@@ -76,12 +77,12 @@ def with_base(arguments: list[str]) -> list[str]:
         UserError: ``base:`` is not a list of existing files.
     """
     for index, argument in enumerate(arguments):
-        if argument == "--config" and index + 1 < len(arguments):
-            overlay = Path(arguments[index + 1])
-        elif argument.startswith("--config="):
-            overlay = Path(argument.removeprefix("--config="))
-        else:
+        option, equals, value = argument.partition("=")
+        if option not in ("--config", "-c"):
             continue
+        if not equals and index + 1 == len(arguments):
+            break
+        overlay = Path(value if equals else arguments[index + 1])
         base = [f"--config={path}" for path in _base(overlay)]
         return [*arguments[:index], *base, *arguments[index:]]
     return arguments
@@ -98,8 +99,8 @@ def _keep_metrics(folder: Path) -> None:
 
 def _base(overlay: Path) -> list[Path]:
     try:
-        values: Any = yaml.safe_load(overlay.read_text())
-    except (OSError, UnicodeError, yaml.YAMLError):
+        values: Any = read_yaml(read_text(overlay))
+    except (OSError, yaml.YAMLError):
         # The parser reads the file again and names the line of the error.
         return []
     names = values.get("base") if isinstance(values, dict) else None
@@ -111,4 +112,5 @@ def _base(overlay: Path) -> list[Path]:
     for path in paths:
         if not path.is_file():
             raise UserError(f"{overlay}: its base {path} is missing.")
+        read_text(path)
     return paths

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,6 +14,8 @@ NOTE = "fluidsnet_models"
 #: Prefix of the models' weights in the state dict.
 PREFIX = "models."
 _GRID, _DIMENSION = "grid_shape", "dimension"
+# Key of the hyperparameters of a module that was built from a config.
+_FROM_CONFIG = "_class_path"
 
 Note = dict[str, dict[str, Any]]
 
@@ -87,6 +90,7 @@ def check(checkpoint: dict[str, Any], models: Mapping[str, Model], resumed: bool
                 f"Ablation makes one with {here}: give it the block and the variant that the "
                 "checkpoint was made with."
             )
+    _check_shapes(checkpoint, models)
     left_out = sorted(saved.keys() - models.keys())
     if left_out and resumed:
         raise UserError(
@@ -98,6 +102,76 @@ def check(checkpoint: dict[str, Any], models: Mapping[str, Model], resumed: bool
     for name in [name for name in weights if name.startswith(prefixes)]:
         del weights[name]
     return left_out
+
+
+def _check_shapes(checkpoint: Mapping[str, Any], models: Mapping[str, Model]) -> None:
+    """Check that the weights of a checkpoint fit the models.
+
+    Raises:
+        UserError: A weight is missing on one side, or has another shape.
+    """
+    saved: Mapping[str, Any] = checkpoint["state_dict"]
+    for name, model in models.items():
+        prefix = f"{PREFIX}{name}."
+        there = {
+            key.removeprefix(prefix): tuple(value.shape)
+            for key, value in saved.items()
+            if key.startswith(prefix)
+        }
+        here = {key: tuple(value.shape) for key, value in model.state_dict().items()}
+        differing = [key for key in {**here, **there} if here.get(key) != there.get(key)]
+        if not differing:
+            continue
+        key = differing[0]
+        block = key.removeprefix("network.").partition(".")[0]
+        known = (
+            f"the checkpoint holds it with shape {list(there[key])}"
+            if key in there
+            else ("the checkpoint does not hold it")
+        )
+        needed = f"this network needs {list(here[key])}" if key in here else "this network has none"
+        raise UserError(
+            f"The weights of this checkpoint do not fit model.{block}: of {prefix}{key} {known}, "
+            f"and {needed}. Set model.{block} as it was trained, in the run's own config.yaml "
+            "(--run)."
+        )
+
+
+def check_optimizer(checkpoint: Mapping[str, Any], settings: Mapping[str, Any]) -> None:
+    """Check that a training resumes with the optimizer and schedule of its checkpoint.
+
+    Their state is restored with all of its numbers, so others would have no effect.
+
+    Args:
+        checkpoint: Checkpoint.
+        settings: Hyperparameters of the module.
+
+    Raises:
+        UserError: One differs.
+    """
+    saved: Mapping[str, Any] = checkpoint.get("hyper_parameters", {})
+    if not all(_FROM_CONFIG in it for it in (saved, settings)):
+        # Of a module built in Python, blocks are not known.
+        return
+    for block in ("optimizer", "schedule"):
+        there, here = (_flat(it.get(block), f"model.{block}") for it in (saved, settings))
+        for name in {**there, **here} if there and here else ():
+            if there.get(name) != here.get(name):
+                raise UserError(
+                    f"{name} is {here.get(name)}, and {there.get(name)} in the checkpoint: a "
+                    "training resumes with the optimizer and the schedule that it began with. "
+                    f"Set {name} as it was."
+                )
+
+
+def _flat(block: Any, name: str) -> dict[str, str]:
+    """Return the settings of a block as text; none if it was built in Python."""
+    if not (block is None or (isinstance(block, Mapping) and "class_path" in block)):
+        return {}
+    described: Mapping[str, Any] = block or {"class_path": None}
+    values: Mapping[str, Any] = described.get("init_args") or {}
+    found = {f"{name}.init_args.{key}": json.dumps(value) for key, value in values.items()}
+    return {name: json.dumps(described["class_path"]), **found}
 
 
 def _check_current(weights: Mapping[str, Any], prefix: str) -> None:

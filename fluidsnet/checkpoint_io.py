@@ -13,6 +13,27 @@ from lightning.fabric.plugins import TorchCheckpointIO
 from fluidsnet.checksums import verify
 from fluidsnet.errors import UserError
 
+#: Prefixes of the names of the models' weights, today and in an earlier version.
+OWN_WEIGHTS = ("models.", "network.")
+
+
+def check_made_here(path: Any, checkpoint: Any) -> None:
+    """Check that a file that torch has read is a checkpoint of this program.
+
+    Raises:
+        UserError: It is that of another one.
+    """
+    weights = checkpoint.get("state_dict") if isinstance(checkpoint, dict) else None
+    if (
+        not isinstance(weights, dict)
+        or "pytorch-lightning_version" not in checkpoint
+        or not any(str(name).startswith(OWN_WEIGHTS) for name in weights)
+    ):
+        raise UserError(
+            f"{path} is no checkpoint of fluidsnet: it holds no weights of its models. Name one "
+            "that `fluidsnet fit` wrote, such as runs/demo/checkpoints/best.ckpt."
+        )
+
 
 @final
 class WholeCheckpoints(TorchCheckpointIO):
@@ -71,6 +92,7 @@ class WholeCheckpoints(TorchCheckpointIO):
                 f"{path} holds objects other than weights and plain values, which are not loaded, "
                 "since they can run code."
             ) from error
-        except (OSError, EOFError, RuntimeError, KeyError) as error:
+        except (OSError, EOFError, RuntimeError, KeyError, ValueError) as error:
             raise UserError(f"{path} cannot be read; it is damaged or no checkpoint.") from error
+        check_made_here(path, read)
         return read

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 from argparse import SUPPRESS
@@ -39,6 +40,8 @@ SEED = 0
 PRECISIONS = (None, "32-true", "32", 32, "bf16-mixed", "bf16", "16-mixed", "16", 16)
 #: Folder for the files of a run without a logger.
 UNLOGGED = "runs/unlogged"
+# Errors of Lightning and of the parser that an option mends.
+_MENDABLE = re.compile("val_check_interval|class_path")
 # Name of the parser's YAML loader that replaces deprecated names.
 _LOADER = "fluidsnet"
 
@@ -113,6 +116,8 @@ class FluidsNetCLI(LightningCLI):
     def _prepare_subcommand_kwargs(self, subcommand: str) -> dict[str, Any]:
         options = super()._prepare_subcommand_kwargs(subcommand)
         word = options.get("ckpt_path")
+        if str(word).startswith(("hpc", "registry")):
+            raise UserError(f"--ckpt_path {word}: name the file of a checkpoint, or last or best.")
         if word in ("last", "best"):
             options["ckpt_path"] = self._own_checkpoint(str(word))
         return options
@@ -181,10 +186,10 @@ def run(arguments: list[str]) -> None:
         raise UserError(f"{str(error).partition('. ')[0]}: give each a name of its own.") from error
     except ValueError as error:
         # The parser wraps the error of a block that refuses its arguments.
-        cause = _cause(error)
-        if cause is None:
+        cause = _cause(error) or _missing_package(error)
+        if cause is None and not _MENDABLE.search(str(error)):
             raise
-        raise cause from error
+        raise cause or UserError(" ".join(str(error).split())) from error
 
 
 def _run(arguments: list[str]) -> None:
@@ -212,6 +217,13 @@ def _run(arguments: list[str]) -> None:
         auto_configure_optimizers=False,
         args=[*names.in_arguments(with_base(with_run(arguments))), "--base=null"],
     )
+
+
+def _missing_package(error: BaseException | None) -> UserError | None:
+    """Return an error that names the package that a class of the config needs, if one does."""
+    while error is not None and not isinstance(error, ModuleNotFoundError):
+        error = error.__cause__ or error.__context__
+    return None if error is None else UserError(" ".join(str(error).split()))
 
 
 def _cause(error: BaseException | None) -> UserError | None:

@@ -4,10 +4,19 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import sys
+import threading
 from importlib import import_module
+from pathlib import Path
+from typing import Any, NoReturn
+
+from jsonargparse import get_loader, set_loader
+from yaml import YAMLError
 
 from fluidsnet.errors import UserError
+from fluidsnet.plain_yaml import check_size, read_text
+from fluidsnet.printable import printable
 
 USAGE = """usage: fluidsnet <command> [options]
 
@@ -49,6 +58,9 @@ cuboid_basin_small, dam_break_small, drop_pool_small. `--run box_drops` writes t
 `fluidsnet <command> --help` lists the options of a command.
 """
 
+# In an error of HDF5, the file and the number of the system's error.
+_NOT_WRITTEN = re.compile(r"filename = '([^']+)'.*errno = (\d+)", re.DOTALL)
+
 # Command to module and function. Modules are imported on demand: some take seconds, and the
 # solver must not be loaded for training.
 _COMMANDS = {
@@ -75,9 +87,8 @@ def main(arguments: list[str] | None = None) -> None:
     # OpenMP reads this when torch is loaded. By default its threads spin while they wait; a step
     # then takes ten times as long if one other process uses a core.
     os.environ.setdefault("GOMP_SPINCOUNT", "1000")
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        # In a log file, keeps the order of tables and of progress lines on stderr.
-        sys.stdout.reconfigure(line_buffering=True)
+    if arguments is None:
+        _start_process()
     command, *options = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
     if command in ("-h", "--help"):
         print(USAGE, end="")
@@ -88,18 +99,101 @@ def main(arguments: list[str] | None = None) -> None:
         sys.exit(2)
     module, function = _COMMANDS[command]
     try:
+        _bound_yaml()
+        options = list(map(_expanded, options))
+        _check_configs(options)
         run = getattr(import_module(module), function)
         run([command, *options] if module == "fluidsnet.cli" else options)
     except UserError as error:
-        print(f"fluidsnet: {_message(error)}", file=sys.stderr)
-        sys.exit(1)
+        _fail(_message(error))
     except BrokenPipeError:
         # The reader of a pipe has ended, as in `fluidsnet inspect … | head`.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         sys.exit(141)
+    except OSError as error:
+        if error.errno is None:
+            raise
+        # A full disk, a folder that may not be written, a name that is too long.
+        _fail(f"{error.filename or command}: {os.strerror(error.errno)}.")
+    except (MemoryError, RuntimeError) as error:
+        if written := _NOT_WRITTEN.search(str(error)):
+            _fail(f"{written[1]} cannot be written: {os.strerror(int(written[2]))}.")
+        if not _lacks_memory(error):
+            raise
+        reason = " ".join(str(error).split()[:40])
+        _fail(f"not enough memory ({reason}); lower data.batch_size or raise data.voxel_size.")
     except KeyboardInterrupt:
         print("fluidsnet: interrupted.", file=sys.stderr)
         sys.exit(130)
+
+
+def _start_process() -> None:
+    """Set up the streams of a process, and the import path of its children."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # In a log file, keeps the order of tables and of progress lines on stderr. A terminal
+            # that knows ASCII alone gets other characters as escapes.
+            stream.reconfigure(line_buffering=True, errors="backslashreplace")
+    threading.excepthook = _in_thread
+    if sys.modules["__main__"].__spec__ is None:
+        # Python would look for modules of its children in the working folder first, where data of
+        # strangers may lie; with `python -m` the user has chosen that.
+        os.environ["PYTHONSAFEPATH"] = "1"
+
+
+def _lacks_memory(error: Exception) -> bool:
+    """Return whether an error of Python or of torch says that memory is full."""
+    return (
+        isinstance(error, MemoryError)
+        or type(error).__name__ == "OutOfMemoryError"
+        or "can't allocate memory" in str(error)
+    )
+
+
+def _bound_yaml() -> None:
+    """Bound the size of what configs stand for."""
+    load = get_loader("yaml")
+    if load.__name__ == "bounded":
+        return
+
+    def bounded(text: str) -> Any:
+        check_size(text)
+        return load(text)
+
+    set_loader("yaml", bounded, exceptions=(YAMLError,))
+
+
+def _check_configs(options: list[str]) -> None:
+    """Check that config files are text, since the parsers do not name one that is not."""
+    for index, option in enumerate(options):
+        name, _, value = option.partition("=")
+        if name in ("--config", "-c"):
+            path = Path(value or "".join(options[index + 1 : index + 2]))
+            if path.is_file():
+                read_text(path)
+
+
+def _expanded(argument: str) -> str:
+    """Return an argument with ``~`` or a variable at the start of its value replaced.
+
+    A shell replaces neither ``~`` behind an equals sign nor anything in quotation marks.
+    """
+    option, equals, value = argument.rpartition("=") if argument[:2] == "--" else ("", "", argument)
+    if value[:1] not in ("~", "$"):
+        return argument
+    return f"{option}{equals}{os.path.expandvars(os.path.expanduser(value))}"
+
+
+def _in_thread(failed: threading.ExceptHookArgs) -> None:
+    """Print the traceback of a thread, but of a full disk, which the main thread names."""
+    if not issubclass(failed.exc_type, OSError):
+        threading.__excepthook__(failed)
+
+
+def _fail(message: str) -> NoReturn:
+    """Print a message to stderr and exit with status 1."""
+    print(f"fluidsnet: {printable(message)}", file=sys.stderr)
+    sys.exit(1)
 
 
 def _message(error: UserError) -> str:

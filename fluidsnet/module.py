@@ -19,7 +19,7 @@ from torch.optim.lr_scheduler import LRScheduler
 
 from fluidsnet.baselines import TRIVIAL_PREDICTORS
 from fluidsnet.calibration import measure_residuals
-from fluidsnet.checkpoint import check, describe
+from fluidsnet.checkpoint import check, check_optimizer, describe
 from fluidsnet.checkpoint_migration import migrate
 from fluidsnet.errors import UserError
 from fluidsnet.metrics import TargetError
@@ -282,6 +282,8 @@ class FluidsNet(LightningModule):
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         migrate(checkpoint)
+        if self._resuming:
+            check_optimizer(checkpoint, self.hparams)
         if self._resuming and "loops" in checkpoint:
             end_epoch(checkpoint["loops"]["fit_loop"])
         if self._resuming and self.stretch_schedule:

@@ -17,6 +17,12 @@ from test_module import data, trainer
 from fluidsnet import FluidsNet
 from fluidsnet.checkpoint_io import WholeCheckpoints
 from fluidsnet.errors import UserError
+from fluidsnet.main import main
+
+CONFIGS = [
+    f"--config={Path(__file__).parents[1] / 'configs' / name}"
+    for name in ("trainer.yaml", "model/paper.yaml", "data/sample.yaml")
+]
 
 
 class Command:
@@ -31,9 +37,10 @@ class Command:
 
 def test_it_writes_and_reads(tmp_path: Path) -> None:
     path = tmp_path / "new" / "last.ckpt"
-    WholeCheckpoints().save_checkpoint({"step": 3, "w": torch.ones(2)}, path)
+    saved = {"pytorch-lightning_version": "2", "step": 3, "state_dict": {"models.w": torch.ones(2)}}
+    WholeCheckpoints().save_checkpoint(saved, path)
     read = WholeCheckpoints().load_checkpoint(path)
-    assert read["step"] == 3 and torch.equal(read["w"], torch.ones(2))
+    assert read["step"] == 3 and torch.equal(read["state_dict"]["models.w"], torch.ones(2))
     assert [it.name for it in path.parent.iterdir()] == ["last.ckpt"]
 
 
@@ -88,7 +95,7 @@ def test_where_no_more_can_be_written_the_earlier_one_is_whole(tmp_path: Path) -
     )
     assert "best.ckpt cannot be written: " in ended.stdout
     assert "; the earlier one is whole." in ended.stdout
-    assert WholeCheckpoints().load_checkpoint(path)["w"].shape == (10,)
+    assert torch.load(path, weights_only=True)["w"].shape == (10,)
     assert [it.name for it in tmp_path.iterdir()] == ["best.ckpt"]
     assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] == resource.RLIM_INFINITY
 
@@ -111,3 +118,72 @@ def test_a_loss_that_is_not_finite_ends_training_with_its_last_weights(
         runner.save_checkpoint(tmp_path / "never.ckpt")
     assert not (tmp_path / "never.ckpt").exists()
     model.load_state_dict(before)
+
+
+@pytest.fixture
+def trained(sample: Path, tmp_path: Path) -> Path:
+    """Folder of a run of one step."""
+    main(
+        [
+            *("fit", *CONFIGS, f"--data.init_args.root={sample}"),
+            *("--trainer.max_steps=1", "--trainer.enable_progress_bar=false"),
+            *("--trainer.limit_val_batches=1", f"--trainer.logger.init_args.save_dir={tmp_path}"),
+            *("--trainer.logger.init_args.name=run", "--trainer.logger.init_args.version="),
+        ]
+    )
+    return tmp_path / "run"
+
+
+def test_options_that_a_checkpoint_does_not_allow_are_named(
+    trained: Path, sample: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    last = trained / "checkpoints" / "last.ckpt"
+    again = ["fit", f"--config={trained / 'config.yaml'}", f"--ckpt_path={last}"]
+    for arguments, words in (
+        (
+            ["test", f"--run={trained}", "--model.init_args.head=[16,8]"],
+            "do not fit model.head: of models.model.network.head.0.weight the checkpoint holds it "
+            "with shape [32, 48], and this network needs [16, 48]",
+        ),
+        (
+            ["predict", f"--run={trained}", "--model.init_args.local.init_args.width=5"],
+            "do not fit model.local",
+        ),
+        (
+            ["test", f"--run={trained}", "--model.init_args.head=[32,16,8,4]"],
+            "the checkpoint holds it with shape [3, 8], and this network needs [4, 8]",
+        ),
+        (
+            [*again, "--model.init_args.optimizer.init_args.lr=0.1"],
+            "model.optimizer.init_args.lr is 0.1, and 0.003 in the checkpoint",
+        ),
+        (
+            [*again, "--model.init_args.optimizer=torch.optim.SGD"],
+            'model.optimizer is "torch.optim.SGD", and "torch.optim.Adam" in the checkpoint',
+        ),
+        ([*again[:-1], "--ckpt_path=hpc"], "--ckpt_path hpc: name the file"),
+    ):
+        with pytest.raises(SystemExit) as ended:
+            main(arguments)
+        said = capsys.readouterr().err
+        assert ended.value.code == 1, arguments
+        assert words in said and "Traceback" not in said, said
+
+
+def test_options_that_may_differ_from_a_checkpoint_change(
+    trained: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    walls = "--model.init_args.walls=fluidsnet.walls.StopAtWalls"
+    steps = "--data.init_args.rollout_steps=1"
+    main(["predict", f"--run={trained}", walls, steps, "--trainer.callbacks=[]"])
+    assert "VelocityTarget, Euler, StopAtWalls" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "content", [[1], {"a": torch.ones(2)}, {"state_dict": {}, "pytorch-lightning_version": "2"}]
+)
+def test_the_checkpoint_of_another_program_is_named(content: Any, tmp_path: Path) -> None:
+    path = tmp_path / "best.ckpt"
+    torch.save(content, path)
+    with pytest.raises(UserError, match="is no checkpoint of fluidsnet: it holds no weights"):
+        WholeCheckpoints().load_checkpoint(path)

@@ -403,6 +403,12 @@ def test_the_rollout_file_holds_the_start_the_truths_error_and_each_step(
           "--trainer.callbacks+=callbacks.RolloutMetrics"], "give each a name of its own"),
         (["fit", f"--config={TRAINER}", f"--config={PAPER}", f"--config={SAMPLE}",
           "--trainer.logger=false"], "that has no logger"),
+        (["fit", f"--config={TRAINER}", f"--config={PAPER}", f"--config={SAMPLE}",
+          "--trainer.val_check_interval=500"], "val_check_interval"),
+        (["fit", f"--config={TRAINER}", f"--config={PAPER}", f"--config={SAMPLE}",
+          "--data.init_args.voxel_size=.inf"], "data.voxel_size is inf; it must be finite"),
+        (["fit", f"--config={TRAINER}", f"--config={PAPER}", f"--config={SAMPLE}",
+          "--trainer.logger=lightning.pytorch.loggers.MLFlowLogger"], "pip install"),
         (["test", "--run=/nowhere"], "/nowhere is not the folder of a run"),
         (["test", "--run=box_drop"], "ship with the package: box_drops, box_drops_40ms"),
         (["test", "--run"], "--run needs the folder"),
@@ -424,6 +430,34 @@ def test_bad_input_is_one_sentence_and_a_status(
     said = capsys.readouterr().err
     assert words in said
     assert "Traceback" not in said
+
+
+def test_a_config_that_is_no_text_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tmp_path / "config.yaml"
+    config.write_text(SAMPLE.read_text(), encoding="utf-16")
+    for arguments in (
+        ["fit", f"--config={config}"],
+        ["fit", "-c", str(config)],
+        ["generate", "--config", str(config), "--root=x"],
+        ["inspect", f"--model={config}", "--data=x.h5"],
+    ):
+        with pytest.raises(SystemExit) as ended:
+            main(arguments)
+        said = capsys.readouterr().err
+        assert ended.value.code == 1
+        if arguments[0] != "inspect":
+            assert f"{config} is not UTF-8 text; save it as UTF-8" in said
+    with pytest.raises(UserError, match="is not UTF-8 text"):
+        has_weights(config)
+
+
+def test_a_base_is_read_of_either_option(tmp_path: Path) -> None:
+    overlay = tmp_path / "overlay.yaml"
+    overlay.write_text(f"base: [{PAPER}]\n")
+    for option in ("-c", "--config"):
+        assert with_base(["fit", option, str(overlay)])[1] == f"--config={PAPER}"
 
 
 def _elsewhere(arguments: list[str], folder: Path) -> list[str]:

@@ -525,7 +525,7 @@ def test_a_report_that_cannot_be_written_is_one_sentence(
         main(["report", str(one), f"--output={tmp_path / 'report'}{below}"])
     assert end.value.code == 1
     said = capsys.readouterr().err
-    assert "cannot be written" in said and "choose another --output" in said
+    assert "cannot be written" in said and "choose another folder" in said
     assert said.count("\n") == 1
 
 

@@ -36,7 +36,7 @@ def generate_command(arguments: list[str]) -> None:
         options = parser.instantiate(parser.parse_args(arguments))
         processes, threads = options.processes, options.threads
         plan = Recipe(**vars(options.recipe))
-    root = Path(options.root)
+    root = Path(os.path.expandvars(options.root)).expanduser()
     failures = generate(plan, root, processes, threads)
     files = [root / f"{split}.h5" for split in SPLITS if (root / f"{split}.h5").exists()]
     print(f"{root} holds {', '.join(path.name for path in files)}.")

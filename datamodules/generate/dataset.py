@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -18,7 +19,12 @@ from datamodules.generate.process import run_job
 from datamodules.generate.solver import load_solver
 from datamodules.schema import SPLITS
 from fluidsnet.errors import UserError
+from fluidsnet.folder_lock import FolderLock
 from fluidsnet.progress import Progress
+from fluidsnet.whole_file import whole_file, write_whole
+
+#: Words in the messages of a process that ran out of disk.
+_FULL = re.compile(r"No space left on device|File too large|[Ee]rrno(?: =)? (?:27|28)\b")
 
 
 class Plan(Protocol):
@@ -78,6 +84,13 @@ def generate(
     load_solver()
     parts = root / "parts"
     jobs = plan.jobs(parts, threads)
+    with FolderLock(root):
+        return _generate(plan, root, jobs, processes)
+
+
+def _generate(plan: Plan, root: Path, jobs: dict[str, Job], processes: int) -> list[Failure]:
+    """Run the jobs whose results are missing, and join the files."""
+    parts = root / "parts"
     _claim(root, plan.description())
     wanted = {
         split: [parts / f"{split}-{number:05d}.h5" for number in range(count)]
@@ -115,7 +128,6 @@ def generate(
 def _claim(root: Path, text: str) -> None:
     """Write a plan to the folder, or check that it equals the one already there."""
     note = root / "recipe.json"
-    root.mkdir(parents=True, exist_ok=True)
     if note.exists():
         if note.read_text() != text:
             raise UserError(
@@ -125,7 +137,7 @@ def _claim(root: Path, text: str) -> None:
     elif any((root / f"{split}.h5").exists() for split in SPLITS):
         raise UserError(f"{root} already holds data without a recipe.json; choose another --root.")
     else:
-        note.write_text(text)
+        write_whole(note, text)
 
 
 def _run(jobs: dict[str, Job], scratch: Path, processes: int, bar: Progress) -> list[Failure]:
@@ -137,6 +149,11 @@ def _run(jobs: dict[str, Job], scratch: Path, processes: int, bar: Progress) -> 
         try:
             for future in as_completed(futures):
                 if failure := future.result():
+                    if _FULL.search(failure.reason):
+                        raise UserError(
+                            f"{scratch.parent}: no space left on the disk; make room and repeat "
+                            "the command: complete simulations are kept."
+                        )
                     failures.append(failure)
                     bar.write(
                         f"{failure.name} (seed {failure.seed}) failed and is left out: "
@@ -180,10 +197,8 @@ def _join(target: Path, sources: list[Path], failures: list[Failure]) -> None:
                 f"the first with {failed[0].reason}"
             )
         return
-    partial = target.with_suffix(".h5.tmp")
-    with h5py.File(partial, "w") as file:
+    with whole_file(target) as partial, h5py.File(partial, "w") as file:
         for source in sources:
             with h5py.File(source, "r") as part:
                 file.attrs.update(part.attrs)
                 part.copy("00000", file, name=source.stem.rpartition("-")[2])
-    partial.replace(target)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 from datamodules.generate.job import Job
+from fluidsnet.child_process import python_module
 
 
 def run_job(
@@ -34,7 +34,7 @@ def run_job(
     openmp = {"OMP_NUM_THREADS": str(job.threads), "OMP_WAIT_POLICY": "passive"}
     with log.open("wb") as output:
         process = subprocess.Popen(
-            [sys.executable, "-m", "datamodules.generate.solver", job_file, str(write_end)],
+            [*python_module("datamodules.generate.solver"), job_file, str(write_end)],
             stdout=output,
             stderr=subprocess.STDOUT,
             stdin=subprocess.DEVNULL,

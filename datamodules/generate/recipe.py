@@ -24,6 +24,8 @@ from datamodules.generate.symmetry import Symmetries
 from datamodules.schema import SPLITS, Header, SceneAttributes
 from fluidsnet.errors import UserError
 
+#: Most particles that fit into the box of a scene; the solver counts them with 32 bits.
+MOST_PARTICLES = 2e9
 #: Greatest number of draws for a scene that differs from the others.
 _DRAWS = 1000
 
@@ -69,6 +71,13 @@ class Recipe:
     def __post_init__(self) -> None:
         if not self.step > 0:
             raise UserError(f"solver_step is {self.step}; it must be above zero.")
+        if not all(map(math.isfinite, (self.frame_interval, *self.gravity))):
+            raise UserError(
+                f"frame_interval is {self.frame_interval}, and gravity {self.gravity}; they must "
+                "be finite."
+            )
+        if self.seed < 0:
+            raise UserError(f"seed is {self.seed}; it must be at least 0.")
         ratio = self.frame_interval / self.step
         if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
             raise UserError(
@@ -84,7 +93,9 @@ class Recipe:
                 bound = "at least" if least == 0 else "above"
                 raise UserError(f"{name} is {getattr(self, name)}; it must be {bound} zero.")
         known = {*PARAMETERS[self.solver], *FURTHER_PARAMETERS}
-        for name in self.solver_parameters or {}:
+        for name, value in (self.solver_parameters or {}).items():
+            if not 0 <= value < math.inf:
+                raise UserError(f"solver_parameters: {name} is {value}; it must be at least zero.")
             if name not in known:
                 raise UserError(
                     f"solver_parameters has {name}, which {self.solver} does not know; it knows "
@@ -191,6 +202,13 @@ class Recipe:
             dt=steps_per_frame * self.step,
         )
         width, height, depth = drawn.domain
+        particles = math.prod(edge / (2 * self.particle_radius) for edge in drawn.domain)
+        if particles > MOST_PARTICLES:
+            raise UserError(
+                f"particle_radius is {self.particle_radius:g} m, by which up to {particles:.2g} "
+                f"particles fit into a box of {width:g} x {height:g} x {depth:g} m; the solver "
+                f"takes up to {MOST_PARTICLES:.0e}. Set larger particles."
+            )
         # In two dimensions the plane of the fluid halves the box.
         front = depth / 2 if drawn.dimension == 2 else 0.0
         scene = SceneAttributes(

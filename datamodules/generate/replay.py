@@ -29,6 +29,7 @@ from datamodules.generate.job import PARAMETERS, DrawnJob, SolverName, scene_fil
 from datamodules.generate.particle_file import write_bgeo
 from datamodules.generate.solver import load_solver, start_solver
 from datamodules.schema import Header, SceneAttributes
+from fluidsnet.child_process import python_module
 from fluidsnet.errors import UserError
 
 Array = NDArray[np.float32]
@@ -113,7 +114,7 @@ def replay(job: Replay, advance: Callable[[], None]) -> Iterator[tuple[int, int,
         (folder / "job.json").write_text(json.dumps(asdict(job)))
         with (folder / "log").open("wb") as log:
             process = subprocess.Popen(
-                [sys.executable, "-m", "datamodules.generate.replay", folder / "job.json"],
+                [*python_module("datamodules.generate.replay"), folder / "job.json"],
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 stdin=subprocess.DEVNULL,

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from fluidsnet.export.camera import Camera
 from fluidsnet.export.colors import BACKGROUND, FLOOR, LINES, SOLID, TEXT
 from fluidsnet.export.speed_colors import speed_colormap, speed_colors, speed_scale
+from fluidsnet.whole_file import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -121,7 +122,8 @@ def side_by_side(
     # The picture is blue and gray: 256 colors look the same and take a third of the bytes.
     picture = Image.open(drawing).convert("RGB")
     picture = picture.quantize(palette=picture.quantize(256), dither=Image.Dither.FLOYDSTEINBERG)
-    picture.save(path, format="PNG", optimize=True)
+    with whole_file(Path(path)) as partial:
+        picture.save(partial, format="PNG", optimize=True)
 
 
 def _panel_size(rows: int, columns: int) -> tuple[int, int]:

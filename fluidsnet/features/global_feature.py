@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import final
@@ -10,9 +12,14 @@ import torch
 from torch import Tensor, nn
 from torch.profiler import record_function
 
+from fluidsnet.errors import UserError
 from fluidsnet.features.float32_linear import float32_on_cpu
 from fluidsnet.features.voxel import GridShape, OccupiedVoxels, VoxelFeature, occupied_voxels
+from fluidsnet.memory import free_bytes
 from fluidsnet.particles import Particles
+
+# Bytes from which it is worth to ask how much memory is free.
+_MUCH = 1e9
 
 
 class GlobalFeature(nn.Module, ABC):
@@ -90,6 +97,13 @@ class GlobalVector(GlobalFeature):
         self.grid_shape = grid_shape
         self.voxel = VoxelFeature(inputs, voxel_widths)
         channels = self.voxel.width
+        self._check_memory(1, torch.device("cpu"))
+        if math.prod(grid_shape) == 1:
+            warnings.warn(
+                "GlobalVector has a grid of one cell, so it sees no more than means over all "
+                "particles; lower data.voxel_size.",
+                stacklevel=2,
+            )
         self.stack = nn.ModuleList(
             nn.Conv3d(channels, channels, kernel, kernel, groups=channels if separable else 1)
             for kernel in kernel_shapes(grid_shape)
@@ -125,6 +139,7 @@ class GlobalVector(GlobalFeature):
 
     def _reduced(self, frames: int, occupied: OccupiedVoxels, voxels: Tensor) -> Tensor:
         """Return one vector per frame, (F, width), from the features of the occupied cells."""
+        self._check_memory(frames, voxels.device)
         grid = self._empty_grid(frames)
         # Channels last, so that a cell is one row.
         grid = grid.index_copy(0, occupied.cell, voxels.to(grid.dtype))
@@ -134,6 +149,20 @@ class GlobalVector(GlobalFeature):
                 volume = torch.tanh(convolution(_padded(volume, kernel)))
         vectors: Tensor = self.reduce(volume.flatten(1))
         return vectors
+
+    def _check_memory(self, frames: int, device: torch.device) -> None:
+        """Check that the dense grid of a batch fits into memory.
+
+        Raises:
+            UserError: It does not.
+        """
+        needed = 4 * frames * math.prod(self.grid_shape) * self.voxel.width
+        if needed > _MUCH and needed > (free := free_bytes(device)):
+            shape = " x ".join(map(str, self.grid_shape))
+            raise UserError(
+                f"GlobalVector needs {needed / 1e9:,.0f} GB for {frames} grids of {shape} cells, "
+                f"and {free / 1e9:,.0f} GB are free; raise data.voxel_size or lower batch_size."
+            )
 
     def _empty_grid(self, frames: int) -> Tensor:
         if self.training:

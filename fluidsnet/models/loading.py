@@ -18,6 +18,7 @@ from fluidsnet.errors import UserError
 from fluidsnet.model import Model
 from fluidsnet.models.shipped import run_path, shipped_models
 from fluidsnet.module import NEEDS, FluidsNet
+from fluidsnet.plain_yaml import read_text, read_yaml
 
 # Arguments that only training needs.
 _TRAINING = ("optimizer", "schedule", "noise", "warm_up", *NEEDS)
@@ -178,7 +179,7 @@ def build(
 def _described(config: Path) -> dict[str, Any]:
     """Return the ``model:`` of a config file."""
     try:
-        return dict(yaml.safe_load(config.read_text())["model"])
+        return dict(read_yaml(read_text(config))["model"])
     except (OSError, TypeError, KeyError, ValueError, yaml.YAMLError) as error:
         raise UserError(
             f"{config} holds no `model:`; name a file such as configs/model/paper.yaml."

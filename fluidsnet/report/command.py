@@ -6,6 +6,7 @@ from argparse import ArgumentParser
 from pathlib import Path
 
 from fluidsnet.errors import UserError
+from fluidsnet.folder_lock import FolderLock
 from fluidsnet.report.events import PATTERN
 from fluidsnet.report.page import Note, write_report
 from fluidsnet.report.results import glance, result_sections
@@ -55,14 +56,9 @@ def report_command(arguments: list[str]) -> None:
         # The paths . and .. name no parent.
         first = (first.resolve() if first.name in ("", "..") else first).parent
     folder: Path = options.output or first / "report"
-    try:
-        if (folder / CONFIG).exists() or any(folder.glob(PATTERN)):
-            raise UserError(f"{folder} is the folder of a run; choose another --output.")
+    if (folder / CONFIG).exists() or any(folder.glob(PATTERN)):
+        raise UserError(f"{folder} is the folder of a run; choose another --output.")
+    with FolderLock(folder):
         page = write_report(folder, title, lead, sections)
-    except OSError as error:
-        path = error.filename or folder
-        raise UserError(
-            f"{path} cannot be written: {error.strerror}; choose another --output."
-        ) from error
     print(page)
     print(f"{folder}/report.md and *.csv hold the same tables.")

@@ -12,7 +12,8 @@ import pandas as pd
 from jinja2 import Environment, StrictUndefined
 
 from fluidsnet.report.tables import shown, unique
-from fluidsnet.reporting.table import markdown
+from fluidsnet.reporting.table import markdown, plain, write_csv
+from fluidsnet.whole_file import write_whole
 
 _HERE = Path(__file__).parent
 
@@ -83,26 +84,30 @@ def write_report(
     style = (_HERE / "page.css").read_text(encoding="utf-8")
     page = template.render(title=title, lead=lead, sections=contents, style=style)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "report.html").write_text(page, encoding="utf-8")
-    paragraphs = [f"# {title}", lead]
+    write_whole(folder / "report.html", page)
+    paragraphs = [f"# {plain(title)}", plain(lead)]
     names: list[str] = []
     for heading, parts in contents.items():
         if any(isinstance(part, Note | Table) for part in parts):
-            paragraphs.append(f"## {heading}")
+            paragraphs.append(f"## {plain(heading)}")
         for part in parts:
             if isinstance(part, Note):
-                paragraphs.append(part.text)
+                paragraphs.append(plain(part.text))
             elif isinstance(part, Table):
                 names.append(unique(re.sub(r"[^\w.-]+", "_", part.name), names))
-                part.frame.to_csv(folder / f"{names[-1]}.csv", index=False, na_rep="nan")
-                paragraphs += [f"{part.caption} ({names[-1]}.csv):", _markdown(part.frame)]
-    (folder / "report.md").write_text("\n\n".join(paragraphs) + "\n", encoding="utf-8")
+                rows = [
+                    ["nan" if cell != cell else cell for cell in row]
+                    for row in part.frame.itertuples(index=False, name=None)
+                ]
+                write_csv(folder / f"{names[-1]}.csv", [*part.frame.columns], rows)
+                paragraphs += [f"{plain(part.caption)} ({names[-1]}.csv):", _markdown(part.frame)]
+    write_whole(folder / "report.md", "\n\n".join(paragraphs) + "\n")
     return folder / "report.html"
 
 
 def _markdown(table: pd.DataFrame) -> str:
     header, *rows = (
-        [shown(cell).replace("|", r"\|").replace("\n", " ") for cell in row]
+        [shown(cell) for cell in row]
         for row in ([*table.columns], *table.itertuples(index=False, name=None))
     )
     return markdown(header, rows).rstrip()

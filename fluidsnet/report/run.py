@@ -14,6 +14,7 @@ import pandas as pd
 import yaml
 
 from fluidsnet.errors import UserError
+from fluidsnet.plain_yaml import read_yaml
 from fluidsnet.report.events import PATTERN, History, read_history
 from fluidsnet.report.tables import read_table, unique
 from fluidsnet.reporting.results import DATA_FILE, results_folders
@@ -48,8 +49,15 @@ class Run:
         try:
             yield
         except (OSError, ValueError, yaml.YAMLError) as error:
-            reason = "it is not plain YAML" if isinstance(error, yaml.YAMLError) else error
+            reason: object = error
+            if isinstance(error, yaml.YAMLError):
+                reason = f"it is not plain YAML ({' '.join(str(error).split())})"
             self.unread.append(f"{path.relative_to(self.folder)} cannot be read: {reason}.")
+
+    def check_inside(self, path: Path) -> None:
+        """Raise a `ValueError` if a file is a link that leads out of the folder."""
+        if not path.resolve().is_relative_to(self.folder.resolve()):
+            raise ValueError("it is a link to a file outside the folder")
 
 
 @dataclass
@@ -183,8 +191,9 @@ def _read(folder: Path, name: str) -> Run:
     path = folder / CONFIG
     if path.exists():
         with run.reading(path):
+            run.check_inside(path)
             run.config = path.read_text(encoding="utf-8")
-            config = yaml.safe_load(run.config)
+            config = read_yaml(run.config)
             if not isinstance(config, dict):
                 raise ValueError("it holds no settings")
             run.settings = flat(config)
@@ -207,6 +216,7 @@ def _read_results(results: Results, folder: Path) -> None:
         # The name in old runs.
         name = path.stem.replace("foreign_context", PERMUTED)
         with results.run.reading(path):
+            results.run.check_inside(path)
             if path.suffix == ".csv":
                 results.tables[name] = read_table(path)
             elif path.suffix == ".md":

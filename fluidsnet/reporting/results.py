@@ -12,6 +12,7 @@ from lightning import Trainer
 
 from fluidsnet.errors import UserError
 from fluidsnet.reporting.run_folder import run_folder
+from fluidsnet.whole_file import write_whole
 
 #: Folder in a run's folder that holds the results folders.
 RESULTS = "results"
@@ -75,7 +76,7 @@ def _claim(results: Path, identity: Mapping[str, Any]) -> Path:
     folders = (results / (name if number == 1 else f"{name}_{number}") for number in count(1))
     folder = next(folder for folder in folders if _is_free(folder, json.loads(text)))
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / DATA_FILE).write_text(f"{text}\n", "utf-8")
+    write_whole(folder / DATA_FILE, f"{text}\n")
     return folder
 
 

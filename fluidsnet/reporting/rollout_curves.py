@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fluidsnet.baselines import TRIVIAL_PREDICTORS, Baselines
 from fluidsnet.metrics.suite import RolloutResults
+from fluidsnet.whole_file import whole_file
 
 #: Colors of the predictors.
 COLORS = {
@@ -53,8 +54,8 @@ def draw_curves(
     figure = Figure(figsize=(15, 4.2), dpi=100, layout="constrained")
     for axes, panel in zip(figure.subplots(1, len(_PANELS)), _PANELS, strict=True):
         _draw(axes, panel, results, time_step)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+    with whole_file(path) as partial:
+        figure.savefig(partial)
     for logger in loggers:
         if isinstance(logger, TensorBoardLogger):
             # One picture per panel, as TensorBoard shows pictures small.

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Sequence
 from pathlib import Path
+
+from fluidsnet.printable import printable
+from fluidsnet.whole_file import whole_file, write_whole
 
 Cell = str | float | int
 
@@ -22,7 +26,7 @@ def write_table(path: Path, header: Sequence[str], rows: Sequence[Sequence[Cell]
     """
     write_csv(path.with_suffix(".csv"), header, rows)
     text = markdown(header, rows)
-    path.with_suffix(".md").write_text(text, encoding="utf-8")
+    write_whole(path.with_suffix(".md"), text)
     return text
 
 
@@ -34,18 +38,21 @@ def write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[Cell]])
         header: Column names with units.
         rows: A cell for each column.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with whole_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(header)
-        writer.writerows([_harmless(cell) for cell in row] for row in rows)
+        writer.writerows([harmless(cell) for cell in row] for row in (header, *rows))
 
 
-def _harmless(cell: Cell) -> Cell:
+def harmless(cell: Cell) -> Cell:
     """Return a cell that no spreadsheet takes for a formula."""
     if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r")):
         return f"'{cell}"
     return cell
+
+
+def plain(text: str) -> str:
+    """Return a text without HTML tags and control characters, for Markdown and a terminal."""
+    return printable(re.sub(r"<(?=[A-Za-z/!?])", "&lt;", text))
 
 
 def markdown(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
@@ -55,10 +62,10 @@ def markdown(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
         header: Column names with units.
         rows: A cell for each column; numbers are rounded to four digits.
     """
-    cells = [[_text(cell) for cell in row] for row in rows]
-    widths = [max(map(len, column)) for column in zip(header, *cells, strict=True)]
+    names, *cells = [[_text(cell) for cell in row] for row in (header, *rows)]
+    widths = [max(map(len, column)) for column in zip(names, *cells, strict=True)]
     lines = [
-        _line([name.ljust(width) for name, width in zip(header, widths, strict=True)]),
+        _line([name.ljust(width) for name, width in zip(names, widths, strict=True)]),
         _line(["-" * (width - 1) + ":" for width in widths]),
         *(
             _line([cell.rjust(width) for cell, width in zip(row, widths, strict=True)])
@@ -73,4 +80,7 @@ def _line(cells: Sequence[str]) -> str:
 
 
 def _text(cell: Cell) -> str:
-    return cell if isinstance(cell, str) else f"{cell:.4g}"
+    if not isinstance(cell, str):
+        return f"{cell:.4g}"
+    # A bar would end the cell.
+    return re.sub(r"(?<!\\)\|", r"\|", plain(cell).replace("\n", " "))

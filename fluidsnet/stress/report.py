@@ -12,6 +12,7 @@ from fluidsnet.export.render import Panel, side_by_side
 from fluidsnet.particles import Particles
 from fluidsnet.reporting.table import Cell, markdown, write_csv
 from fluidsnet.stress.outcome import Outcome
+from fluidsnet.whole_file import whole_file, write_whole
 
 HEADER = (
     "case", "by", "verdict", "steps", "speed / bound", "energy rise %", "escaped %", "density %",
@@ -70,7 +71,7 @@ def write_report(
         blocks += [f"## {title}", markdown(columns, values)]
     blocks.append(EXPLANATION)
     text = "\n\n".join(blocks) + "\n"
-    (folder / "stress.md").write_text(text, encoding="utf-8")
+    write_whole(folder / "stress.md", text)
     _draw(folder / "stress.png", outcomes)
     return text
 
@@ -133,4 +134,5 @@ def _draw(path: Path, outcomes: Outcomes) -> None:
     axes.grid(alpha=0.25)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.01, 0.5))
-    figure.savefig(path, dpi=110)
+    with whole_file(path) as partial:
+        figure.savefig(partial, dpi=110)

@@ -7,7 +7,6 @@ import hashlib
 import json
 import os
 import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import final
@@ -15,6 +14,7 @@ from typing import final
 import torch
 import yaml
 
+from fluidsnet.child_process import python_module
 from fluidsnet.errors import UserError
 
 #: File in a run's folder: arguments, hashes of the configs, finished stages.
@@ -103,7 +103,7 @@ class Training:
         """Run a stage in a child process and return its exit status."""
         with log.open("wb") as output:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "fluidsnet.main", *self._command(stage)],
+                [*python_module("fluidsnet.main"), *self._command(stage)],
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 stdin=subprocess.DEVNULL,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 import signal
@@ -564,6 +565,14 @@ def test_each_solver_has_its_own_step(solver: SolverName, step: float, tmp_path:
         ({"viscosity": -1.0}, "viscosity is -1.0; it must be at least zero"),
         ({"density0": 0.0}, "density0 is 0.0; it must be above zero"),
         ({"solver_parameters": {"maxIteration": 5}}, "has maxIteration, which IISPH does not know"),
+        ({"solver_parameters": {"maxError": -1.0}}, "maxError is -1.0; it must be at least zero"),
+        (
+            {"solver_parameters": {"maxError": math.nan}},
+            "maxError is nan; it must be",
+        ),
+        ({"gravity": (0.0, math.nan, 0.0)}, "they must be finite"),
+        ({"frame_interval": math.nan}, "they must be finite"),
+        ({"seed": -1}, "seed is -1; it must be at least 0"),
         ({"train": -1}, "train is -1"),
         ({"val": -2}, "val is -2"),
         ({"train": 0}, "train, val and test are all zero"),
@@ -572,6 +581,11 @@ def test_each_solver_has_its_own_step(solver: SolverName, step: float, tmp_path:
 def test_a_recipe_that_cannot_be_is_an_error(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(UserError, match=words):
         replace(RECIPE, **changes)
+
+
+def test_particles_that_no_solver_counts_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"particles fit into a box of .* Set larger particles"):
+        job(tmp_path, particle_radius=1e-5)
 
 
 def test_a_recipes_own_parameters_reach_the_solver(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import pytest
 import torch
 from torch import nn
 
+from fluidsnet.errors import UserError
 from fluidsnet.features import GlobalVector, NoGlobalFeature, VoxelFeature
 from fluidsnet.features.global_feature import kernel_shapes
 from fluidsnet.features.voxel import occupied_voxels
@@ -129,3 +130,13 @@ def test_no_context_has_no_weights_and_no_width(make_particles: Make) -> None:
     particles = make_particles((30, 0))
     assert context(particles, torch.randn(30, 16)).shape == (30, 0)
     assert not list(context.parameters())
+
+
+def test_a_grid_that_does_not_fit_into_memory_is_refused() -> None:
+    with pytest.raises(UserError, match=r"GlobalVector needs 32,768 GB for 1 grids of 4000 x 4000"):
+        GlobalVector((4000, 4000, 4000), 16)
+
+
+def test_a_grid_of_one_cell_is_warned_of() -> None:
+    with pytest.warns(UserWarning, match=r"one cell.*lower data.voxel_size"):
+        GlobalVector((1, 1, 1), 16)

@@ -11,6 +11,7 @@ from jinja2 import Environment, StrictUndefined
 from fluidsnet.studies.ablations import comparison, results, tables
 from fluidsnet.studies.ablations.figures import draw_figures
 from fluidsnet.studies.ablations.results import ONE_STEP, RUN, STARTS, Group, TrainedRun
+from fluidsnet.whole_file import whole_file, write_whole
 
 
 def write_report(output: Path, runs: Sequence[TrainedRun], planned: int) -> str:
@@ -30,7 +31,8 @@ def write_report(output: Path, runs: Sequence[TrainedRun], planned: int) -> str:
     if groups:
         _write_csv_files(output, groups, comparisons)
         for name, figure in draw_figures(groups).items():
-            figure.savefig(output / f"{name}.png")
+            with whole_file(output / f"{name}.png") as partial:
+                figure.savefig(partial)
     environment = Environment(
         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
     )
@@ -39,7 +41,7 @@ def write_report(output: Path, runs: Sequence[TrainedRun], planned: int) -> str:
     text = environment.from_string(template).render(
         groups=groups, comparisons=comparisons, finished=len(runs), planned=planned
     )
-    (output / "ablations.md").write_text(text, "utf-8")
+    write_whole(output / "ablations.md", text)
     return text
 
 
@@ -53,6 +55,11 @@ def _write_csv_files(folder: Path, groups: Sequence[Group], comparisons: pd.Data
     one_step = one_step.reindex(columns=[*RUN, "predictor", *tables.ONE_STEP_METRICS])
     rollouts = rollouts.reindex(columns=[*keys, *tables.ROLLOUT_METRICS]).replace({"table": STARTS})
     rollouts = rollouts.rename(columns={"table": "start", "time": "time s", **tables.RENAMED})
-    comparisons.drop(columns="step").to_csv(folder / "ablations.csv", index=False)
-    one_step.to_csv(folder / "ablations_one_step.csv", index=False)
-    rollouts.to_csv(folder / "ablations_rollouts.csv", index=False)
+    written = {
+        "ablations": comparisons.drop(columns="step"),
+        "ablations_one_step": one_step,
+        "ablations_rollouts": rollouts,
+    }
+    for name, table in written.items():
+        with whole_file(folder / f"{name}.csv") as partial:
+            table.to_csv(partial, index=False)

@@ -15,6 +15,7 @@ from typing import Any
 import torch
 
 from datamodules.generate.solver import load_solver
+from fluidsnet.folder_lock import FolderLock
 from fluidsnet.progress import Progress
 from fluidsnet.studies.dam_break import Dam
 from fluidsnet.studies.machine import BUSY, OtherLoad, cpu_model, versions
@@ -45,12 +46,13 @@ def speed_command(arguments: list[str]) -> None:
         arguments,
     )
     study = Study(options)
-    shutil.rmtree(study.work, ignore_errors=True)
-    study.work.mkdir(parents=True)
-    try:
-        study.run()
-    finally:
+    with FolderLock(study.folder):
         shutil.rmtree(study.work, ignore_errors=True)
+        study.work.mkdir(parents=True)
+        try:
+            study.run()
+        finally:
+            shutil.rmtree(study.work, ignore_errors=True)
     print(f"\n{(study.folder / 'speed.md').read_text(encoding='utf-8')}")
     for warning in study.report.warnings:
         print(f"WARNING: {warning}", file=sys.stderr)

@@ -7,6 +7,8 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
+from fluidsnet.whole_file import whole_file
+
 
 def draw(table: pd.DataFrame, path: Path) -> None:
     """Draw the time per simulated second against the number of particles, a line a label."""
@@ -38,4 +40,5 @@ def draw(table: pd.DataFrame, path: Path) -> None:
     )
     axes.grid(which="major", alpha=0.3)
     axes.legend(fontsize="small")
-    figure.savefig(path, dpi=120)
+    with whole_file(path) as partial:
+        figure.savefig(partial, dpi=120)

@@ -17,6 +17,7 @@ from fluidsnet.studies.machine import BUSY
 from fluidsnet.studies.speed.figure import draw
 from fluidsnet.studies.speed.measure import STAGES
 from fluidsnet.studies.speed.trial import Result, Trial
+from fluidsnet.whole_file import whole_file, write_whole
 
 # Method and result of a line.
 Row = tuple[Trial, Result]
@@ -68,7 +69,8 @@ class Report:
         """Write ``speed.md``, ``speed.csv`` and ``speed.png``; return the Markdown."""
         folder.mkdir(parents=True, exist_ok=True)
         table = speed_table(self.rows)
-        table.to_csv(folder / "speed.csv", index=False)
+        with whole_file(folder / "speed.csv") as partial:
+            table.to_csv(partial, index=False)
         table["label"] = [trial.label for trial, _ in self.rows]
         draw(table, folder / "speed.png")
         cores = self.cores.cores
@@ -87,7 +89,7 @@ class Report:
             floors=_floors(self.floors, cores) if self.floors and cores else "",
             batches=_batches(self.batches) if self.batches else "",
         )
-        (folder / "speed.md").write_text(text, encoding="utf-8")
+        write_whole(folder / "speed.md", text)
         return text
 
 

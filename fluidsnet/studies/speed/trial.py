@@ -7,7 +7,6 @@ import pickle
 import re
 import shutil
 import subprocess
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -17,6 +16,7 @@ import torch
 
 from datamodules.generate.dataset import generate
 from datamodules.generate.job import SolverName
+from fluidsnet.child_process import python_code
 from fluidsnet.errors import UserError
 from fluidsnet.studies.dam_break import Dam
 from fluidsnet.studies.machine import cores
@@ -193,7 +193,7 @@ def run_trial(trial: Trial) -> Result:
     options = trial.options
     try:
         process = subprocess.run(
-            [sys.executable, "-c", _MEASURE],
+            python_code(_MEASURE),
             input=pickle.dumps(trial),
             capture_output=True,
             env={**os.environ, "OMP_NUM_THREADS": str(options.threads)},

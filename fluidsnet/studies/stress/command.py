@@ -12,6 +12,7 @@ from typing import final
 from datamodules.generate.job import SolverName
 from datamodules.generate.solver import load_solver
 from fluidsnet.errors import UserError
+from fluidsnet.folder_lock import FolderLock
 from fluidsnet.model import Model
 from fluidsnet.models import load
 from fluidsnet.particles import Particles
@@ -93,7 +94,8 @@ def stress_command(arguments: list[str]) -> None:
     if options.solver is not None:
         load_solver()
     folder = Path(options.output or Path("runs") / "stress" / Path(options.run).stem)
-    print(stress(load(options.run), options, folder))
+    with FolderLock(folder):
+        print(stress(load(options.run), options, folder))
     print(f"Written to {folder}: stress.md, stress.csv and stress.png.")
 
 

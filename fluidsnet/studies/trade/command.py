@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fluidsnet.folder_lock import FolderLock
 from fluidsnet.studies.parser import parse_options
 from fluidsnet.studies.trade.options import TradeOptions
 from fluidsnet.studies.trade.recommend import recommend_command
@@ -29,6 +30,7 @@ def trade_command(arguments: list[str]) -> None:
         arguments,
     )
     study = Study(options)
-    study.run()
+    with FolderLock(study.folder):
+        study.run()
     print((study.folder / "trade.md").read_text(encoding="utf-8"))
     print(f"Written to {study.folder}: trade.html, trade.md, trade.csv and trade.png.")

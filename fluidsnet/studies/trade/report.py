@@ -12,6 +12,7 @@ from fluidsnet.reporting.table import Cell, markdown, write_csv
 from fluidsnet.studies.trade.fronts import sentences
 from fluidsnet.studies.trade.options import TradeOptions
 from fluidsnet.studies.trade.rows import Row, floor, planes, useless
+from fluidsnet.whole_file import write_whole
 
 #: File with the rows, for `fluidsnet trade recommend`.
 ROWS = "trade.json"
@@ -58,7 +59,7 @@ def write_report(
     """
     _write_values(folder / "trade.csv", rows)
     values = [asdict(row) for row in rows]
-    (folder / ROWS).write_text(json.dumps({"rows": values, "marks": options.marks}, indent=1))
+    write_whole(folder / ROWS, json.dumps({"rows": values, "marks": options.marks}, indent=1))
     near = [frame for frame in NEAR if frame <= options.horizon]
     marks = sorted(options.marks)
     header = (
@@ -78,7 +79,7 @@ def write_report(
     blocks = ["# Error against cost", *notes, *told, table, EXPLANATION]
     if failures:
         blocks += ["## Failed", "\n".join(failures)]
-    (folder / "trade.md").write_text("\n\n".join(blocks) + "\n", encoding="utf-8")
+    write_whole(folder / "trade.md", "\n\n".join(blocks) + "\n")
     return table, told
 
 

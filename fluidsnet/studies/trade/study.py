@@ -32,6 +32,7 @@ from fluidsnet.studies.trade.report import EXPLANATION, write_report
 from fluidsnet.studies.trade.rows import Row
 from fluidsnet.studies.trade.solver_points import Solver, check_drawn, floors
 from fluidsnet.studies.training import Training
+from fluidsnet.whole_file import whole_file, write_whole
 
 T = TypeVar("T")
 
@@ -150,7 +151,8 @@ class Study:
         figure = draw(options, rows)
         if figure is None:
             return
-        figure.savefig(self.folder / "trade.png", dpi=120)
+        with whole_file(self.folder / "trade.png") as partial:
+            figure.savefig(partial, dpi=120)
         heading, _, *lines = (
             [cell.strip() for cell in line.strip("| ").split(" | ")] for line in table.splitlines()
         )
@@ -168,7 +170,7 @@ class Study:
             ],
             explanation=EXPLANATION,
         )
-        (self.folder / "trade.html").write_text(page, encoding="utf-8")
+        write_whole(self.folder / "trade.html", page)
 
     def _add_models(self, models: Sequence[ModelPoint]) -> None:
         for model in models:
@@ -202,7 +204,7 @@ class Study:
                 began = time.perf_counter()
                 training.run("fit")
                 seconds[it.label] = time.perf_counter() - began
-                note.write_text(json.dumps(seconds))
+                write_whole(note, json.dumps(seconds))
             self._training[it.label] = seconds[it.label]
             trained.append(ModelPoint(str(folder), label=it.label))
         self._add_models(trained)
@@ -222,16 +224,13 @@ class Study:
 
     def _store(self, task: Task, measured: Measured) -> None:
         path = self._path(task)
-        path.parent.mkdir(parents=True, exist_ok=True)
         stored = {
             "label": task.point.label,
             "simulation": task.simulation,
             "settings": task.point.settings,
             "results": asdict(measured),
         }
-        partial = path.with_suffix(".tmp")
-        partial.write_text(json.dumps(stored, indent=1))
-        partial.replace(path)
+        write_whole(path, json.dumps(stored, indent=1))
 
     def _path(self, task: Task) -> Path:
         """Return the file of a task's results, whose name changes with what they depend on."""

@@ -14,6 +14,7 @@ from scipy.optimize import minimize
 
 from datamodules.reader import FrameReader
 from fluidsnet.errors import UserError
+from fluidsnet.folder_lock import FolderLock
 from fluidsnet.models import load
 from fluidsnet.priors import Prior
 from fluidsnet.progress import Progress
@@ -21,6 +22,7 @@ from fluidsnet.reporting.table import markdown, write_csv
 from fluidsnet.studies.machine import cores
 from fluidsnet.studies.parser import parse_options
 from fluidsnet.studies.tune.objective import Errors, Objective
+from fluidsnet.whole_file import write_whole
 
 #: Size of the first changes.
 _CHANGE = 0.15
@@ -84,8 +86,9 @@ def tune_command(arguments: list[str]) -> None:
     )
     torch.set_num_threads(options.threads)
     found = Fit(options)
-    found.run()
-    print(found.write())
+    with FolderLock(Path(options.output)):
+        found.run()
+        print(found.write())
     print(f"Written to {options.output}: prior.yaml and tune.csv.")
 
 
@@ -161,9 +164,7 @@ class Fit:
         }
         prior["init_args"] = {**(prior.get("init_args") or {}), **fitted}
         text = yaml.safe_dump(config, sort_keys=False)
-        (folder / "prior.yaml").write_text(
-            f"# {options.model}, fitted to {options.data}\n{text}", encoding="utf-8"
-        )
+        write_whole(folder / "prior.yaml", f"# {options.model}, fitted to {options.data}\n{text}")
         return markdown(
             ("", *options.numbers, "1 step mm", "2 steps mm", "velocity m/s", "rollout mm"),
             [
