@@ -62,8 +62,8 @@ class WholeCheckpoints(TorchCheckpointIO):
                 os.fsync(stream.fileno())
             partial.replace(file)
         except (OSError, RuntimeError) as error:
-            # torch wraps a full disk in a RuntimeError.
-            reason = error.strerror if isinstance(error, OSError) and error.strerror else error
+            # torch hides a full disk behind a RuntimeError.
+            reason = getattr(error, "strerror", None) or "the disk may be full"
             kept = "; the earlier one is whole" if file.exists() else ""
             raise UserError(f"{file} cannot be written: {reason}{kept}.") from error
         finally:

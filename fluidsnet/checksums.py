@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Iterable
 from pathlib import Path
 
 from fluidsnet.errors import UserError
+from fluidsnet.whole_file import write_whole
 
 #: File with the checksums of its folder; ``sha256sum --check`` reads it.
 NAME = "SHA256SUMS"
@@ -24,14 +24,15 @@ def write_checksums(paths: Iterable[Path]) -> list[Path]:
 
     Returns:
         Files that were written, one for each folder.
+
+    Raises:
+        UserError: One cannot be written.
     """
     written: dict[Path, None] = {}
     for path in paths:
         sums = path.parent / NAME
         entries = {**_read(sums), path.name: sha256_of(path)}
-        partial = sums.with_name(f".{NAME}.{os.getpid()}.tmp")
-        partial.write_text("".join(f"{digest}  {name}\n" for name, digest in entries.items()))
-        partial.replace(sums)
+        write_whole(sums, "".join(f"{digest}  {name}\n" for name, digest in entries.items()))
         written[sums] = None
     return list(written)
 

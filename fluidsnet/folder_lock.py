@@ -7,6 +7,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self, final
+from weakref import WeakSet
 
 from fluidsnet.errors import UserError
 
@@ -16,7 +17,7 @@ class FolderLock:
     """Context manager that holds a folder, which is made; the lock ends with the process.
 
     It is on the folder itself and leaves no file. A file system that has no locks is used without.
-    A copy of it holds nothing.
+    A copy of it holds nothing, in a forked process either.
 
     Args:
         folder: Folder that a command writes to.
@@ -28,6 +29,7 @@ class FolderLock:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._descriptor: int | None = None
+        _LOCKS.add(self)
 
     def __enter__(self) -> Self:
         try:
@@ -65,3 +67,15 @@ class FolderLock:
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_descriptor": None}
+
+
+_LOCKS: WeakSet[FolderLock] = WeakSet()
+
+
+def _let_go() -> None:
+    for lock in _LOCKS:
+        lock.close()
+
+
+# Workers that outlive a killed process for a moment must not keep its folder.
+os.register_at_fork(after_in_child=_let_go)

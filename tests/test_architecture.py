@@ -13,7 +13,7 @@ RANKS = {
     "fluidsnet.batch": 0,
     "fluidsnet.cache": 0,
     "fluidsnet.checkpoint_io": 12,
-    "fluidsnet.checksums": 1,
+    "fluidsnet.checksums": 2,
     "fluidsnet.child_process": 0,
     "fluidsnet.compile_cache": 0,
     "fluidsnet.console": 0,

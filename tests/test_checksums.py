@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -15,12 +16,18 @@ from fluidsnet.errors import UserError
 from fluidsnet.main import main
 
 
+def checkpoint(value: float) -> dict[str, Any]:
+    """Return what a checkpoint has to hold."""
+    weights = {"models.model.w": torch.full((3,), value)}
+    return {"state_dict": weights, "pytorch-lightning_version": "2.6.0"}
+
+
 @pytest.fixture
 def folder(sample: Path, tmp_path: Path) -> Path:
     """Return a data set with a checkpoint in a folder of it, both with checksums."""
     for name in ("train.h5", "test.h5"):
         shutil.copy(sample / name, tmp_path)
-    WholeCheckpoints().save_checkpoint({"w": torch.ones(3)}, tmp_path / "run" / "best.ckpt")
+    WholeCheckpoints().save_checkpoint(checkpoint(1.0), tmp_path / "run" / "best.ckpt")
     main(["inspect", "--hash", str(tmp_path)])
     return tmp_path
 
@@ -46,12 +53,13 @@ def test_files_that_have_changed_are_not_read(folder: Path) -> None:
 
     path = folder / "run" / "best.ckpt"
     WholeCheckpoints().load_checkpoint(path)
-    WholeCheckpoints().save_checkpoint({"w": torch.zeros(3)}, path)
+    WholeCheckpoints().save_checkpoint(checkpoint(0.0), path)
     with pytest.raises(UserError, match=r"best.ckpt is not the file that"):
         WholeCheckpoints().load_checkpoint(path)
     # On purpose: hashed again, beside the others.
     main(["inspect", "--hash", str(path)])
-    assert WholeCheckpoints().load_checkpoint(path)["w"].sum() == 0
+    weights = WholeCheckpoints().load_checkpoint(path)["state_dict"]
+    assert weights["models.model.w"].sum() == 0
 
 
 def test_a_folder_without_files_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

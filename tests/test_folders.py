@@ -115,6 +115,17 @@ def commands(folder: Path, sample: Path) -> dict[str, list[str]]:
     }
 
 
+def test_a_forked_process_does_not_keep_a_folder(tmp_path: Path) -> None:
+    context = multiprocessing.get_context("fork")
+    done = context.Event()
+    with FolderLock(tmp_path):
+        worker = context.Process(target=done.wait)
+        worker.start()
+    with FolderLock(tmp_path):
+        done.set()
+    worker.join()
+
+
 @pytest.mark.usefixtures("real_solver")
 def test_commands_refuse_a_folder_that_another_process_writes_to(
     tmp_path: Path,
