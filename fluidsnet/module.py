@@ -27,7 +27,7 @@ from fluidsnet.model import Model
 from fluidsnet.one_step import OneStepErrors
 from fluidsnet.optimization import adam, clip_each, total_steps
 from fluidsnet.particles import Particles, RolloutStart, Transitions
-from fluidsnet.resume import end_epoch
+from fluidsnet.resume import SCHEDULED, prepare_resume
 from fluidsnet.rng import derived_seed, with_same_rng
 from fluidsnet.rollout import RolloutObserver, reference_rollout, rollout
 from fluidsnet.schedule import HalfwayDrop
@@ -38,10 +38,6 @@ ScheduleCallable = Callable[[Optimizer, int], LRScheduler]
 #: Arguments of `FluidsNet` that are linked to the data module's properties of these names.
 NEEDS = ("grid_shape", "dimension", "varying")
 
-# Key of the schedule's steps in a checkpoint.
-_SCHEDULED = "fluidsnet_schedule_steps"
-# State of a learning rate schedule that says where it is; `lr_lambdas` are its functions' own.
-_PLACE = {"last_epoch", "_step_count", "_last_lr", "lr_lambdas"}
 # Steps between two looks at the loss on a GPU.
 _LOOK_EVERY = 50
 _DIVERGED = (
@@ -278,23 +274,13 @@ class FluidsNet(LightningModule):
         if not all(bool(weight.isfinite().all()) for weight in self.parameters()):
             raise UserError(_DIVERGED.format("A weight", self.global_step))
         describe(checkpoint, self.named_models())
-        checkpoint[_SCHEDULED] = self._scheduled
+        checkpoint[SCHEDULED] = self._scheduled
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         migrate(checkpoint)
         if self._resuming:
             check_optimizer(checkpoint, self.hparams)
-        if self._resuming and "loops" in checkpoint:
-            end_epoch(checkpoint["loops"]["fit_loop"])
-        if self._resuming and self.stretch_schedule:
-            for state in checkpoint.get("lr_schedulers", ()):
-                if "_schedulers" in state:
-                    raise UserError("model.stretch_schedule: a chain of schedules has no length.")
-                # Its place is restored, the steps that it was made for are not.
-                for name in state.keys() - _PLACE:
-                    del state[name]
-        elif self._resuming:
-            self._scheduled = checkpoint.get(_SCHEDULED, 0)
+            self._scheduled = prepare_resume(checkpoint, self.stretch_schedule)
         # What varies is a fact of the training data; those at hand may have no training split.
         varying = tuple(checkpoint.get("hyper_parameters", {}).get("varying", ()))
         for name, model in self.named_models().items():

@@ -25,7 +25,7 @@ RANKS = {
     "fluidsnet.plain_yaml": 1,
     "fluidsnet.printable": 0,
     "fluidsnet.progress": 0,
-    "fluidsnet.resume": 0,
+    "fluidsnet.resume": 1,
     "fluidsnet.rng": 0,
     "fluidsnet.same_settings": 0,
     "fluidsnet.statistics": 0,
