@@ -13,6 +13,7 @@ from fluidsnet.metrics.density import Density
 from fluidsnet.metrics.energy import kinetic_energy, potential_energy
 from fluidsnet.metrics.positions import escaped
 from fluidsnet.particles import Particles, RolloutStart
+from fluidsnet.periodic import is_periodic
 from fluidsnet.reporting.results import results_folder
 from fluidsnet.reporting.table import write_table
 from fluidsnet.rollout import RolloutObserver
@@ -82,17 +83,22 @@ class EnergyRecord(Callback, RolloutObserver):
 
     def _add(self, start: RolloutStart, step: int, state: Particles) -> None:
         excess = (self._density(state) - 1).clamp_min(0)
+        potential = potential_energy(state)
+        if is_periodic(state.scene):
+            # Neither the height nor the neighbors across a face are known.
+            excess, potential = excess * torch.nan, potential * torch.nan
         values = torch.stack(
             [
                 kinetic_energy(state),
-                potential_energy(state),
+                potential,
                 state.velocity.double().norm(dim=1).max(),
                 excess.mean(),
                 excess.quantile(0.999),
                 escaped(state),
             ]
         )
-        finite = torch.nan_to_num(values, nan=torch.inf, posinf=torch.inf)
+        broken = torch.nan_to_num(values, nan=torch.inf, posinf=torch.inf)
+        finite = values if is_periodic(state.scene) else broken
         time = step * state.scene.time_step
         self._table.append((start.name, step, time, *finite.tolist()))
 

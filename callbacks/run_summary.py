@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from lightning import Callback, LightningModule, Trainer
 
+from fluidsnet.errors import UserError
 from fluidsnet.folder_lock import FolderLock
 from fluidsnet.reporting.results import results_folder
 from fluidsnet.reporting.run_folder import run_folder
@@ -37,8 +38,16 @@ class RunSummary(Callback):
         self._folder = results_folder(trainer) if measures else run_folder(trainer)
         # A validation writes nothing but events, each process to a file of its own.
         writes = stage != "validate" and not getattr(trainer, "fast_dev_run", False)
+        refused: UserError | None = None
         if writes and trainer.is_global_zero:
-            self._lock = FolderLock(self._folder).__enter__()
+            try:
+                self._lock = FolderLock(self._folder).__enter__()
+            except UserError as error:
+                refused = error
+        # The other processes would wait for it.
+        refused = trainer.strategy.broadcast(refused)
+        if refused is not None:
+            raise refused
 
     def teardown(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
         """Let other processes write to the folder."""

@@ -35,7 +35,8 @@ class BoxSymmetry(Augmentation):
     """Mirror each horizontal axis, and swap the two, each with probability one half.
 
     Together they are all symmetries of the box under gravity along one axis. The two axes are
-    swapped only where the box is as wide as it is deep, and in two dimensions there is only one.
+    swapped only where the box is as wide as it is deep and both are periodic or neither is; in two
+    dimensions there is only one.
     """
 
     def check(self, scene: Scene) -> None:
@@ -54,7 +55,9 @@ class BoxSymmetry(Augmentation):
         swapped, *mirrored = (torch.rand(3, device=scene.gravity.device) < 0.5).tolist()
         axes, sign = [0, 1, 2], torch.ones(3, device=scene.gravity.device)
         flat, extent = scene.dimension == 2, scene.extent[0]
-        if swapped and not flat and bool(torch.isclose(extent[first], extent[second])):
+        # Periodic axes stay where they are.
+        alike = scene.periodic[first] == scene.periodic[second]
+        if swapped and alike and not flat and bool(torch.isclose(extent[first], extent[second])):
             axes[first], axes[second] = second, first
         sign[[first, second]] -= 2 * torch.tensor(mirrored, device=sign.device)
         sign[scene.dimension :] = 1

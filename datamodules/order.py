@@ -36,9 +36,8 @@ class TrainingOrder(DistributedSampler[Draw]):
     """
 
     def __init__(self, samples: Sized, epoch: int = 0, done: int = 0) -> None:
-        several = distributed.is_available() and distributed.is_initialized()
-        processes = distributed.get_world_size() if several else 1
-        rank = distributed.get_rank() if several else 0
+        processes = process_count()
+        rank = distributed.get_rank() if processes > 1 else 0
         # As Lightning seeds the samplers that it makes. Without a seed, one process takes its own.
         seed = os.environ.get("PL_GLOBAL_SEED", torch.initial_seed() if processes == 1 else 0)
         super().__init__(cast(Any, samples), processes, rank, seed=derived_seed(int(seed)))
@@ -52,6 +51,12 @@ class TrainingOrder(DistributedSampler[Draw]):
         for place, index in enumerate(order):
             if place >= done:
                 yield Draw(index, derived_seed(self.seed, self.epoch, self.rank, place))
+
+
+def process_count() -> int:
+    """Return the number of processes that train together."""
+    several = distributed.is_available() and distributed.is_initialized()
+    return distributed.get_world_size() if several else 1
 
 
 def progress_of(trainer: Any) -> tuple[int, int]:

@@ -18,7 +18,7 @@ from datamodules.damage import is_zero
 from datamodules.schema import DAMAGE, LENGTHS, Header, SceneAttributes, open_valid, simulations
 from datamodules.storage import open_file
 from datamodules.values import NO_ORIGIN, Vector, as_tensor, check_finite, origin_of
-from fluidsnet.checksums import sha256_of, verify
+from fluidsnet.checksums import sha256_of
 from fluidsnet.errors import UserError
 from fluidsnet.particles import Particles
 from fluidsnet.scene import Scene
@@ -53,7 +53,6 @@ class FrameReader:
         self._origins: dict[str, Vector] = {}
         self.frames: dict[str, int] = {}
         with open_valid(path) as file:
-            verify(path)
             self.header = Header.read(file)
             for name in simulations(file):
                 radius = self.header.particle_radius
@@ -146,9 +145,26 @@ class FrameReader:
             position, velocity = (self._read(name, frame, what) for name in names)
             return position, velocity
         if simulation not in self._solids:
-            self._solids[simulation] = self._read(names[0], (), what)
+            self._solids[simulation] = self._inside(simulation, self._read(names[0], (), what))
         position = self._solids[simulation]
         return position, torch.zeros_like(position)
+
+    def _inside(self, simulation: str, solids: Tensor) -> Tensor:
+        """Return solids at rest; those across a periodic face would count twice.
+
+        Raises:
+            UserError: Some are there.
+        """
+        scene = self.scene(simulation, 1)
+        beyond = torch.maximum(scene.domain_lower - solids, solids - scene.domain_upper)
+        outside = beyond > 1e-3 * scene.particle_radius
+        count = int((outside & torch.tensor(scene.periodic)).any(dim=1).sum())
+        if count:
+            raise UserError(
+                f"{self.path}: {count} solids of /{simulation} are outside the domain along a "
+                "periodic axis, where they repeat others; leave them out of the file."
+            )
+        return solids
 
     def motion(self, simulation: str, first: int, stride: int) -> SolidTrack | None:
         """Return the motion of the solids from a frame on; None where they rest."""
@@ -235,6 +251,7 @@ def _flat(group: h5py.Group, particle_radius: float) -> SceneAttributes:
         domain_lower=(*scene.domain_lower[:2], plane - particle_radius),
         domain_upper=(*scene.domain_upper[:2], plane + particle_radius),
         gravity=(*scene.gravity[:2], 0.0),
+        periodic=(*scene.periodic[:2], False),
     )
 
 

@@ -29,6 +29,7 @@ import numpy as np
 
 from datamodules.guard import guarded
 from datamodules.storage import check_links, check_stored, open_file
+from fluidsnet.checksums import verify
 from fluidsnet.errors import UserError
 from fluidsnet.printable import printable
 
@@ -206,10 +207,11 @@ def open_valid(path: Path) -> h5py.File:
     """Open a file for reading and check its format, without reading particle data.
 
     Raises:
-        UserError: it has another format; the message names the file, the group, the data set
-            and the expected value.
+        UserError: it has another format, or is not that of its checksum; the message names the
+            file, the group, the data set and the expected value.
     """
     guarded(path, lambda: _open_checked(path))
+    verify(path)
     return _open_checked(path)
 
 

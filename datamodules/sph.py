@@ -12,11 +12,12 @@ from typing import Any, Literal
 
 import torch
 from lightning import LightningDataModule
+from lightning.pytorch.utilities import rank_zero_warn
 from torch.utils.data import DataLoader, Sampler
 
 from datamodules.augmentation import Augmentation
 from datamodules.needs import grid_shape, varying
-from datamodules.order import TrainingOrder, each_once, progress_of
+from datamodules.order import TrainingOrder, each_once, process_count, progress_of
 from datamodules.reader import FrameReader
 from datamodules.rollout_starts import HDF5RolloutStarts
 from datamodules.schema import SPLITS
@@ -95,6 +96,7 @@ class SPHDataModule(LightningDataModule):
                 f"data.frame_range is {frame_range}; it must be a first frame of at least 0, and "
                 "a later frame or null."
             )
+        self._goes_on = True
         self._readers: dict[str, FrameReader] = {}
         self._samples: dict[str, list[Sample]] = {}
 
@@ -190,10 +192,23 @@ class SPHDataModule(LightningDataModule):
         if stage == "fit" and self.augmentation is not None:
             self.augmentation.check(self.scenes)
 
+    def state_dict(self) -> dict[str, Any]:
+        return {"batch_size": self.batch_size, "processes": process_count()}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        # Batches of another size would leave out other samples than those that are done.
+        self._goes_on = state_dict == self.state_dict()
+
     def train_dataloader(self) -> DataLoader[Transitions]:
         dataset = self._dataset("train", self.steps)
         dataset.augmentation = self.augmentation
         epoch, batches = progress_of(self.trainer)
+        if batches and not self._goes_on:
+            rank_zero_warn(
+                "data.batch_size or the number of processes is another than that of the "
+                "checkpoint: the samples of its epoch are drawn anew."
+            )
+            batches = 0
         return self._load(dataset, TrainingOrder(dataset, epoch, batches * self.batch_size))
 
     def val_dataloader(self) -> DataLoader[Transitions]:

@@ -96,9 +96,10 @@ class TransitionDataset(Dataset[Transitions]):
         )
         if self.augmentation is None:
             return transitions
+        if seed is None:
+            return self.augmentation(transitions)
         with preserve_rng_state():
-            if seed is not None:
-                torch.default_generator.manual_seed(seed)
+            torch.default_generator.manual_seed(seed)
             return self.augmentation(transitions)
 
     def _solids(

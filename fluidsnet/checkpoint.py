@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -135,43 +134,6 @@ def _check_shapes(checkpoint: Mapping[str, Any], models: Mapping[str, Model]) ->
             f"and {needed}. Set model.{block} as it was trained, in the run's own config.yaml "
             "(--run)."
         )
-
-
-def check_optimizer(checkpoint: Mapping[str, Any], settings: Mapping[str, Any]) -> None:
-    """Check that a training resumes with the optimizer and schedule of its checkpoint.
-
-    Their state is restored with all of its numbers, so others would have no effect.
-
-    Args:
-        checkpoint: Checkpoint.
-        settings: Hyperparameters of the module.
-
-    Raises:
-        UserError: One differs.
-    """
-    saved: Mapping[str, Any] = checkpoint.get("hyper_parameters", {})
-    if not all(_FROM_CONFIG in it for it in (saved, settings)):
-        # Of a module built in Python, blocks are not known.
-        return
-    for block in ("optimizer", "schedule"):
-        there, here = (_flat(it.get(block), f"model.{block}") for it in (saved, settings))
-        for name in {**there, **here} if there and here else ():
-            if there.get(name) != here.get(name):
-                raise UserError(
-                    f"{name} is {here.get(name)}, and {there.get(name)} in the checkpoint: a "
-                    "training resumes with the optimizer and the schedule that it began with. "
-                    f"Set {name} as it was."
-                )
-
-
-def _flat(block: Any, name: str) -> dict[str, str]:
-    """Return the settings of a block as text; none if it was built in Python."""
-    if not (block is None or (isinstance(block, Mapping) and "class_path" in block)):
-        return {}
-    described: Mapping[str, Any] = block or {"class_path": None}
-    values: Mapping[str, Any] = described.get("init_args") or {}
-    found = {f"{name}.init_args.{key}": json.dumps(value) for key, value in values.items()}
-    return {name: json.dumps(described["class_path"]), **found}
 
 
 def _check_current(weights: Mapping[str, Any], prefix: str) -> None:

@@ -10,7 +10,7 @@ from typing import Any, final
 import torch
 from lightning.fabric.plugins import TorchCheckpointIO
 
-from fluidsnet.checksums import verify
+from fluidsnet.checksums import refresh, verify
 from fluidsnet.errors import UserError
 
 #: Prefixes of the names of the models' weights, today and in an earlier version.
@@ -61,6 +61,7 @@ class WholeCheckpoints(TorchCheckpointIO):
                 stream.flush()
                 os.fsync(stream.fileno())
             partial.replace(file)
+            refresh(file)
         except (OSError, RuntimeError) as error:
             # torch hides a full disk behind a RuntimeError.
             reason = getattr(error, "strerror", None) or "the disk may be full"

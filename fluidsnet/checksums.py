@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 
 from fluidsnet.errors import UserError
@@ -14,9 +15,25 @@ NAME = "SHA256SUMS"
 
 
 def sha256_of(path: Path) -> str:
-    """Return the SHA-256 hash of a file, in hexadecimal."""
+    """Return the SHA-256 hash of a file, in hexadecimal; computed once for a file as it is."""
+    found = path.stat()
+    return _sha256(path, found.st_size, found.st_mtime_ns, found.st_ino)
+
+
+@cache
+def _sha256(path: Path, *state: int) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def refresh(path: Path) -> None:
+    """Write the checksum of a file again, where its folder has one.
+
+    Raises:
+        UserError: It cannot be written.
+    """
+    if path.name in _read(path.parent / NAME):
+        write_checksums([path])
 
 
 def write_checksums(paths: Iterable[Path]) -> list[Path]:
@@ -58,4 +75,8 @@ def _read(sums: Path) -> dict[str, str]:
     lines = sums.read_text(errors="replace").splitlines()
     # A star before the name says that the file was read as binary.
     pairs = (line.split(maxsplit=1) for line in lines if line.strip())
-    return {pair[1].removeprefix("*"): pair[0].lower() for pair in pairs if len(pair) == 2}
+    return {
+        pair[1].removeprefix("*").removeprefix("./"): pair[0].lower()
+        for pair in pairs
+        if len(pair) == 2
+    }

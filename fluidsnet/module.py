@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from io import BytesIO
+from pathlib import Path
 from typing import Any, Self, cast
 
 import torch
@@ -19,15 +20,16 @@ from torch.optim.lr_scheduler import LRScheduler
 
 from fluidsnet.baselines import TRIVIAL_PREDICTORS
 from fluidsnet.calibration import measure_residuals
-from fluidsnet.checkpoint import check, check_optimizer, describe
+from fluidsnet.checkpoint import check, describe
 from fluidsnet.checkpoint_migration import migrate
+from fluidsnet.checksums import verify
 from fluidsnet.errors import UserError
 from fluidsnet.metrics import TargetError
 from fluidsnet.model import Model
 from fluidsnet.one_step import OneStepErrors
 from fluidsnet.optimization import adam, clip_each, total_steps
 from fluidsnet.particles import Particles, RolloutStart, Transitions
-from fluidsnet.resume import SCHEDULED, prepare_resume
+from fluidsnet.resume import SCHEDULED, check_optimizer, prepare_resume
 from fluidsnet.rng import derived_seed, with_same_rng
 from fluidsnet.rollout import RolloutObserver, reference_rollout, rollout
 from fluidsnet.schedule import HalfwayDrop
@@ -148,6 +150,10 @@ class FluidsNet(LightningModule):
     def on_fit_start(self) -> None:
         self._seed = torch.initial_seed()
 
+    def on_fit_end(self) -> None:
+        # A further run in this process begins with the seed of this one.
+        torch.manual_seed(self._seed)
+
     def on_train_batch_start(self, batch: Transitions, batch_index: int) -> None:
         # Noise and empty cells of a step do not depend on what was drawn before, so that a resumed
         # run goes on as it would have; processes share a seed and must not share them.
@@ -259,8 +265,10 @@ class FluidsNet(LightningModule):
         Arguments are those of Lightning's method, and blocks that are not plain values.
 
         Raises:
-            UserError: The checkpoint does not match the blocks.
+            UserError: The checkpoint does not match the blocks, or is not that of its checksum.
         """
+        if isinstance(checkpoint_path, str | Path) and Path(checkpoint_path).is_file():
+            verify(Path(checkpoint_path))
         weights_only = kwargs.get("weights_only") is not False
         checkpoint = torch.load(checkpoint_path, map_location="cpu", weights_only=weights_only)
         migrate(checkpoint)

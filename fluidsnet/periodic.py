@@ -18,13 +18,21 @@ def is_periodic(scene: Scene) -> bool:
 
 
 def wrapped(particles: Particles) -> Particles:
-    """Return the fluid particles with positions in the box along periodic axes."""
+    """Return the particles with positions in the box along periodic axes."""
     scene = particles.scene
     if not is_periodic(scene):
         return particles
-    lower, extent = map(particles.per_particle, (scene.domain_lower, scene.extent))
-    turns = torch.floor((particles.position - lower) / extent)
-    return replace(particles, position=particles.position - turns * extent * _axes(particles))
+
+    def inside(position: Tensor, frame: Tensor) -> Tensor:
+        lower, extent = scene.domain_lower[frame], scene.extent[frame]
+        turns = torch.floor((position - lower) / extent)
+        return position - turns * extent * _axes(particles)
+
+    return replace(
+        particles,
+        position=inside(particles.position, particles.frame),
+        solid_position=inside(particles.solid_position, particles.solid_frame),
+    )
 
 
 def shortest(difference: Tensor, particles: Particles) -> Tensor:
@@ -66,9 +74,11 @@ def with_images(particles: Particles) -> Particles:
             moved = position.clone()
             moved[:, axis] += shift * edge[frame]
             near = (moved[:, axis] >= lower[frame]) & (moved[:, axis] <= upper[frame])
-            places.append(moved[near])
-            rows.append(row[near])
-            frames.append(frame[near])
+            # A GPU is waited for here, to know how many there are, and nowhere else.
+            reached = near.nonzero().squeeze(1)
+            places.append(moved.index_select(0, reached))
+            rows.append(row.index_select(0, reached))
+            frames.append(frame.index_select(0, reached))
         position, row, frame = torch.cat(places), torch.cat(rows), torch.cat(frames)
     velocity = torch.cat([particles.velocity, particles.solid_velocity])
     # Frame after frame; fluid rows come first and stay where they are.
@@ -85,4 +95,8 @@ def with_images(particles: Particles) -> Particles:
 
 
 def _axes(particles: Particles) -> Tensor:
-    return particles.position.new_tensor(particles.scene.periodic)
+    """Return 1 for periodic axes and 0 for others, (3,)."""
+    axes = torch.zeros_like(particles.scene.domain_lower[0])
+    for axis, repeats in enumerate(particles.scene.periodic):
+        axes[axis] = float(repeats)
+    return axes

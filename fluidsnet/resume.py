@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
+import json
+from collections.abc import Mapping
+from pydoc import locate
 from typing import Any
 
 from fluidsnet.errors import UserError
@@ -10,6 +14,13 @@ from fluidsnet.errors import UserError
 SCHEDULED = "fluidsnet_schedule_steps"
 # State of a learning rate schedule that says where it is; `lr_lambdas` are its functions' own.
 _PLACE = {"last_epoch", "_step_count", "_last_lr", "lr_lambdas"}
+# Key of the hyperparameters of a module that was built from a config.
+_FROM_CONFIG = "_class_path"
+# Settings of the blocks that a config leaves out (`FluidsNet.__init__`).
+_BUILT_IN: dict[str, dict[str, Any]] = {
+    "optimizer": {"class_path": "torch.optim.Adam", "init_args": {"lr": 0.003}},
+    "schedule": {"class_path": "fluidsnet.schedule.HalfwayDrop", "init_args": {}},
+}
 
 
 def prepare_resume(checkpoint: dict[str, Any], stretched: bool) -> int:
@@ -58,3 +69,48 @@ def end_epoch(fit_loop: dict[str, Any]) -> None:
     for counts in (epochs["current"], epochs["total"]):
         # The next epoch has begun.
         counts.update({name: count + 1 for name, count in counts.items()})
+
+
+def check_optimizer(checkpoint: Mapping[str, Any], settings: Mapping[str, Any]) -> None:
+    """Check that a training resumes with the optimizer and schedule of its checkpoint.
+
+    Their state is restored with all of its numbers, so others would have no effect.
+
+    Args:
+        checkpoint: Checkpoint.
+        settings: Hyperparameters of the module.
+
+    Raises:
+        UserError: One differs.
+    """
+    saved: Mapping[str, Any] = checkpoint.get("hyper_parameters", {})
+    if not all(_FROM_CONFIG in it for it in (saved, settings)):
+        # Of a module built in Python, blocks are not known.
+        return
+    for block, built_in in _BUILT_IN.items():
+        there, here = (it.get(block) or built_in for it in (saved, settings))
+        if not all(isinstance(it, Mapping) and "class_path" in it for it in (there, here)):
+            continue
+        classes = [str(it["class_path"]) for it in (there, here)]
+        if classes[0] != classes[1]:
+            raise _differs(f"model.{block}", *classes)
+        arguments = [it.get("init_args") or {} for it in (there, here)]
+        for name in {**arguments[0], **arguments[1]}:
+            # A later version of the class may have arguments that an earlier one had not.
+            found = [it.get(name, _default(classes[0], name)) for it in arguments]
+            if json.dumps(found[0]) != json.dumps(found[1]):
+                raise _differs(f"model.{block}.init_args.{name}", *found)
+
+
+def _default(class_path: str, name: str) -> Any:
+    """Return the default of a class's argument; None without one."""
+    made: Any = locate(class_path)
+    parameter = inspect.signature(made).parameters.get(name) if made is not None else None
+    return None if parameter is None or parameter.default is parameter.empty else parameter.default
+
+
+def _differs(name: str, there: Any, here: Any) -> UserError:
+    return UserError(
+        f"{name} is {here}, and {there} in the checkpoint: a training resumes with the optimizer "
+        f"and the schedule that it began with. Set {name} as it was."
+    )

@@ -53,13 +53,26 @@ def test_files_that_have_changed_are_not_read(folder: Path) -> None:
 
     path = folder / "run" / "best.ckpt"
     WholeCheckpoints().load_checkpoint(path)
-    WholeCheckpoints().save_checkpoint(checkpoint(0.0), path)
+    path.write_bytes(path.read_bytes().replace(b"models.model.w", b"models.model.v"))
     with pytest.raises(UserError, match=r"best.ckpt is not the file that"):
         WholeCheckpoints().load_checkpoint(path)
     # On purpose: hashed again, beside the others.
     main(["inspect", "--hash", str(path)])
+    WholeCheckpoints().load_checkpoint(path)
+
+
+def test_a_training_that_goes_on_hashes_its_checkpoints(folder: Path) -> None:
+    path = folder / "run" / "best.ckpt"
+    WholeCheckpoints().save_checkpoint(checkpoint(0.0), path)
     weights = WholeCheckpoints().load_checkpoint(path)["state_dict"]
     assert weights["models.model.w"].sum() == 0
+
+
+def test_names_with_a_folder_are_understood(folder: Path) -> None:
+    sums = folder / "SHA256SUMS"
+    sums.write_text(sums.read_text().replace("  ", " *./").replace("0", "1"))
+    with pytest.raises(UserError, match="is not the file that"):
+        FrameReader(folder / "test.h5")
 
 
 def test_a_folder_without_files_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

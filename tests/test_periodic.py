@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 
+import h5py
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
+from datamodules.augmentation import BoxSymmetry
+from datamodules.reader import FrameReader
+from datamodules.schema import SceneAttributes
 from fluidsnet.errors import UserError
 from fluidsnet.features import GlobalVector, NoGlobalFeature, VoxelField
 from fluidsnet.integrator import Displacement
@@ -17,7 +24,7 @@ from fluidsnet.kernels import disabled
 from fluidsnet.metrics.positions import CenterOfMass, RolloutPositionError
 from fluidsnet.model import Model
 from fluidsnet.neighbors import Auto, BruteForce
-from fluidsnet.particles import Particles
+from fluidsnet.particles import Particles, Transitions
 from fluidsnet.periodic import shortest, with_images, wrapped
 from fluidsnet.priors import PressureStep
 from fluidsnet.scene import Scene
@@ -181,3 +188,54 @@ def test_blocks_that_do_not_know_them_are_refused(block: str) -> None:
     with pytest.raises(UserError, match=r"has periodic axes, which \w+ does not know; use the"):
         built.check_scenes(state(AXES[0]).scene)
     Model((4, 3, 5), global_feature=GlobalVector).check_scenes(state(AXES[0]).scene)
+
+
+@pytest.mark.parametrize("periodic", [(True, False, False), (True, False, True)])
+def test_mirrored_samples_cross_the_faces_as_they_did(periodic: tuple[bool, bool, bool]) -> None:
+    scene = Scene.single(
+        (0, 0, 0), (1, 1, 1), (0, -9.81, 0), 0.025, 0.1, 0.02, periodic=periodic
+    )  # fmt: skip
+    start = Particles.single(
+        torch.tensor([[0.99, 0.5, 0.3]]), torch.tensor([[1.0, 0, 0]]), torch.zeros(0, 3), scene
+    )
+    after = torch.tensor([[[0.01, 0.5, 0.3]]])
+    sample = Transitions(start, after, start.velocity[None], torch.zeros(1, dtype=torch.int64))
+    torch.manual_seed(0)
+    for _ in range(30):
+        found = BoxSymmetry()(sample)
+        step = shortest(found.next_position[0] - found.state.position, found.state)
+        assert step.norm() == pytest.approx(0.02, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [({"solid": 1.2}, "1 solids of /00000 are outside the domain along a"), ({"solid": 0.5}, "")],
+)
+def test_solids_across_a_face_are_refused(
+    change: dict[str, float], expected: str, sample: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "val.h5"
+    shutil.copy(sample / "val.h5", path)
+    with h5py.File(path, "r+") as file:
+        width = np.asarray(SceneAttributes.read(file["00000"]).domain_upper)
+        for group in file.values():
+            group.attrs["periodic"] = [True, True, True]
+        solids = np.tile(0.5 * width, (3, 1))
+        solids[0, 0] = change["solid"] * width[0]
+        del file["00000/solid_position"]
+        file["00000/solid_position"] = solids.astype(np.float32)
+    reader = FrameReader(path)
+    if expected:
+        with pytest.raises(UserError, match=expected):
+            reader.state("00000", 0, 1)
+    else:
+        assert len(reader.state("00000", 0, 1).solid_position) == 3
+
+
+def test_a_plane_is_not_periodic_across_itself(sample: Path, tmp_path: Path) -> None:
+    path = tmp_path / "val.h5"
+    shutil.copy(sample / "val.h5", path)
+    with h5py.File(path, "r+") as file:
+        for group in file.values():
+            group.attrs["periodic"], group.attrs["dimension"] = [True, True, True], 2
+    assert FrameReader(path).scenes(1)[0].periodic == (True, True, False)

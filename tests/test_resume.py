@@ -128,3 +128,14 @@ def test_two_fits_of_one_seed_end_with_the_same_bits(sample: Path, tmp_path: Pat
         main(options("corrected.yaml", changes, sample, folder, workers=0))
         found.append(weights(folder / "run" / "checkpoints" / "last.ckpt"))
     assert all(torch.equal(value, found[1][name]) for name, value in found[0].items())
+
+
+def test_another_batch_size_draws_the_epoch_anew(
+    sample: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    changes = overlay(tmp_path, "every_n_train_steps")
+    arguments = options("paper.yaml", changes, sample, tmp_path, workers=0)
+    main([*arguments, "--trainer.max_steps=3"])
+    with pytest.warns(UserWarning, match="the samples of its epoch are drawn anew"):
+        main([*arguments, "--ckpt_path=last", "--data.init_args.batch_size=3"])
+    assert weights(tmp_path / "run" / "checkpoints" / "last.ckpt")

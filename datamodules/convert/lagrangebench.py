@@ -143,7 +143,8 @@ class LagrangeBench:
             }
         else:
             bounds = np.array([*metadata["bounds"], [-radius, radius]][:3], np.float64)
-            x, y, z, *_ = [*map(bool, metadata["periodic_boundary_conditions"]), False]
+            axes = map(bool, metadata["periodic_boundary_conditions"][: metadata["dim"]])
+            x, y, z, *_ = [*axes, False]
             scene = SceneAttributes(
                 domain_lower=tuple(bounds[:, 0].tolist()),
                 domain_upper=tuple(bounds[:, 1].tolist()),

@@ -204,4 +204,11 @@ def _metadata(
             metadata[f"sequence_length_{word}"] = rows[0][0] - 1
             metadata[f"num_trajs_{word}"] = len(shapes.get(split, ()))
     metadata["t_end"] = header.dt * (metadata["sequence_length_train"])
-    return {**metadata, **header.solver_parameters.get(METADATA, {})}
+    source = dict(header.solver_parameters.get(METADATA, {}))
+    # What an option of the import changed is not that of the source.
+    step = float(source.get("dt", header.dt)) * float(source.get("write_every", 1))
+    if not np.isclose(step, header.dt):
+        source = {name: it for name, it in source.items() if name not in ("dt", "write_every")}
+    if not np.isclose(float(source.get("dx", 0)), metadata["dx"]):
+        source.pop("dx", None)
+    return {**metadata, **source}

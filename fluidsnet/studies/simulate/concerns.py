@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import warnings
 from pathlib import Path
 
@@ -58,7 +59,8 @@ def training_range(run: str) -> TriedRange | None:
     """Return the range of the training data of a run; None where they are not there."""
     try:
         config = yaml.safe_load(config_path(run).read_text())
-        path = Path(config["data"]["init_args"]["root"]) / "train.h5"
+        root = os.path.expandvars(config["data"]["init_args"]["root"])
+        path = Path(root).expanduser() / "train.h5"
         reader = FrameReader(path)
     except (UserError, KeyError, TypeError):
         return None
