@@ -74,7 +74,7 @@ def test_a_shipped_model_is_tested_and_predicts(sample: Path, tmp_path: Path) ->
     options = [
         "--run=box_drops",
         f"--data.init_args.root={sample}",
-        "--data.init_args.stride=8",
+        "--data.init_args.stride=1",
         "--data.init_args.rollout_steps=2",
         "--data.init_args.workers=0",
         f"--trainer.logger.init_args.save_dir={tmp_path}",

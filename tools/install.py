@@ -171,7 +171,7 @@ def compile_wheels(names: list[str], folder: Path, parallel: bool) -> None:
     compiler = next((c for c in compilers if c and shutil.which(shlex.split(c)[0])), None)
     if compiler is None or not Path(sysconfig.get_path("include"), "Python.h").exists():
         raise InstallError(f"torch-scatter and torch-cluster are compiled here: install {needs}")
-    print("compiling 23 files (more with CUDA), once for this torch: 3 to 6 minutes on two cores;")
+    print("compiling 23 files (more with CUDA), once for this torch: 4 to 10 minutes on two cores;")
     print(f"the wheels are kept in {folder}")
     # Each compiler needs up to 2 GiB.
     gibibytes = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") >> 30
@@ -218,10 +218,10 @@ def install(torch: str) -> None:
     run({f"installing {' and '.join(COMPILED)}": [*PIP, "install", *options, *map(str, wheels)]})
     editable = [*PIP, "install", "--no-build-isolation", "--only-binary", "pysplishsplash", "-e"]
     try:
-        run({"installing FluidsNet with the solver": [*editable, ".[dev,solver]"]})
+        run({"installing FluidsNet with the solver": [*editable, ".[dev,scatter,solver]"]})
     except InstallError as error:
         print(f"{error}. Most likely the solver has no wheel here; only `generate` needs it.")
-        run({"installing FluidsNet": [*editable, ".[dev]"]})
+        run({"installing FluidsNet": [*editable, ".[dev,scatter]"]})
     if subprocess.run([sys.executable, "-c", "import torch_scatter, torch_cluster"]).returncode:
         raise InstallError(
             "torch-scatter or torch-cluster does not fit torch, as above: remove "

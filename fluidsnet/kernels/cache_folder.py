@@ -16,4 +16,5 @@ def cache_folder() -> Path | None:
     """
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return None
-    return Path(_flatten.stats.cache_path)
+    path = _flatten.stats.cache_path
+    return None if path is None else Path(path)
