@@ -53,11 +53,9 @@ def built(package: Path, *sources: str, level: str = "-O2") -> str:
 def test_two_files_are_compiled_with_one_header(package: Path) -> None:
     assert built(package, "csrc/knn.cpp", "csrc/cpu/knn_cpu.cpp") == ""
     assert len([*(package / "made").glob("*.h.gch")]) == 1
-    symbols = subprocess.run(["nm", package / "knn_cpu.o"], capture_output=True, text=True).stdout
-    assert "knn_cpu" not in symbols  # its code is in the first object
 
 
-def test_each_set_of_flags_has_a_header_and_the_order_does_not_matter(package: Path) -> None:
+def test_each_set_of_flags_has_a_header(package: Path) -> None:
     built(package, "csrc/cpu/knn_cpu.cpp", "csrc/knn.cpp")
     built(package, "csrc/cpu/knn_cpu.cpp", "csrc/knn.cpp", level="-O3")
     assert len([*(package / "made").glob("*.h.gch")]) == 2
@@ -69,13 +67,6 @@ def test_files_compile_where_the_header_does_not(package: Path) -> None:
     printed = built(package, "csrc/knn.cpp", "csrc/cpu/knn_cpu.cpp")
     assert "no such torch" in printed and "compiling without it" in printed
     assert not [*(package / "made").glob("*.partial")]
-
-
-def test_files_compile_where_they_cannot_be_joined(package: Path) -> None:
-    for path, value in ((package / "csrc/knn.cpp", 1), (package / "csrc/cpu/knn_cpu.cpp", 2)):
-        path.write_text(path.read_text() + f"static const int both = {value};\n")
-    printed = built(package, "csrc/knn.cpp", "csrc/cpu/knn_cpu.cpp")
-    assert "compiling without the precompiled header" in printed
 
 
 def test_an_error_of_the_compiler_stays_one(package: Path) -> None:

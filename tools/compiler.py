@@ -1,14 +1,10 @@
-"""Compiler of torch-scatter and torch-cluster: `python compiler.py FOLDER JOBS COMMAND…`.
+"""Compiler that parses torch's headers once: `python compiler.py FOLDER JOBS COMMAND…`.
 
-`tools/install.py` puts it in front of the C++ compiler, since every file of the two packages parses
-all headers of torch:
-
-- The first file with a set of flags makes a precompiled header in FOLDER; the others wait for it.
-- An extension's two files, `csrc/knn.cpp` and `csrc/cpu/knn_cpu.cpp`, are compiled as one.
-- At most JOBS compilers run at once, whichever package they serve.
-
-The flags are the packages' own. Where the header, or a file with it, does not compile, the file is
-compiled as it would be without. Uses only the standard library.
+`tools/install.py` puts it in front of the C++ compiler, since every file of torch-scatter and
+torch-cluster includes all headers of torch. The first file with a set of flags makes a precompiled
+header of them, in FOLDER; the others wait for it. At most JOBS compilers run at once, whichever
+package they serve. Where the header, or a file with it, does not compile, the file is compiled as
+it would be without. Uses only the standard library.
 """
 
 from __future__ import annotations
@@ -35,7 +31,7 @@ def _locked(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _job(folder: Path, jobs: int) -> Iterator[None]:
+def _one_of(folder: Path, jobs: int) -> Iterator[None]:
     """Wait until fewer than `jobs` compilers run."""
     while True:
         for number in range(jobs):
@@ -49,12 +45,8 @@ def _job(folder: Path, jobs: int) -> Iterator[None]:
         time.sleep(0.1)
 
 
-def _hash(*values: object) -> str:
-    return hashlib.sha256(repr(values).encode()).hexdigest()[:16]
-
-
-def _flags(command: list[str]) -> list[str]:
-    """Return compiler and flags of a command, without its files and the extension's name."""
+def _without_files(command: list[str]) -> list[str]:
+    """Return the flags of a command that a header is compiled with as well."""
     flags, words = [], iter(command)
     for word in words:
         if word in ("-c", "-o"):
@@ -65,14 +57,14 @@ def _flags(command: list[str]) -> list[str]:
 
 
 def _header(folder: Path, jobs: int, command: list[str]) -> Path | None:
-    """Return the header that is precompiled for a command; None where it does not compile."""
-    flags = _flags(command)
-    header = folder / f"torch-{_hash(flags)}.h"
+    """Return the precompiled header for the flags of a command; None where it does not compile."""
+    flags = _without_files(command)
+    header = folder / f"torch-{hashlib.sha256(repr(flags).encode()).hexdigest()[:16]}.h"
     compiled, partial = header.with_suffix(".h.gch"), header.with_suffix(".partial")
     with _locked(header.with_suffix(".lock")):
         if not header.exists():
             header.write_text(_HEADERS)
-            with _job(folder, jobs):
+            with _one_of(folder, jobs):
                 made = subprocess.run([*flags, "-x", "c++-header", str(header), "-o", str(partial)])
             if made.returncode == 0:
                 partial.rename(compiled)
@@ -86,34 +78,19 @@ def compile_file(folder: Path, jobs: int, command: list[str]) -> int:
     """Run the command of a compiler; return its exit status.
 
     Args:
-        folder: Absolute path of the folder of headers and locks.
+        folder: Folder of headers and locks.
         jobs: Maximum number of compilers at once.
-        command: Compiler and arguments; the C++ file to compile follows `-c`.
+        command: Compiler and arguments. With `-c` it compiles the C++ file that follows.
     """
-    source = Path(command[command.index("-c") + 1]) if "-c" in command else None
-    header = _header(folder, jobs, command) if source else None
-    with _job(folder, jobs):
-        if source is None or header is None:
-            return subprocess.run(command).returncode
-        # One mark for both files of an extension, which are compiled one after the other.
-        second = source.parent / "cpu" / f"{source.stem}_cpu.cpp"
-        part = source if source.parent.name == "cpu" else second
-        mark = folder / f"compiled-{_hash(str(part.absolute()))}"
-        if part == source and mark.exists():  # its code is in the other object
-            word = command.index(str(source))
-            command = [*command[:word], "-x", "c++", "/dev/null", *command[word + 1 :]]
-            return subprocess.run(command).returncode
-        joined = ["-include", str(second)] if second.exists() and not mark.exists() else []
-        options = ["-Winvalid-pch", "-include", str(header), *joined]
-        status = subprocess.run([*command, *options]).returncode
-        if status == 0 and joined:
-            mark.touch()
-        elif status != 0:
+    compiles = "-c" in command and any("torch/csrc" in word for word in command)
+    header = _header(folder, jobs, command) if compiles else None
+    with _one_of(folder, jobs):
+        if header is not None:
+            with_header = [*command, "-Winvalid-pch", "-include", str(header)]
+            if subprocess.run(with_header).returncode == 0:
+                return 0
             print("compiling without the precompiled header", flush=True)
-            status = subprocess.run(command).returncode
-        if part == source:
-            mark.touch()
-        return status
+        return subprocess.run(command).returncode
 
 
 if __name__ == "__main__":
