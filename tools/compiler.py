@@ -82,8 +82,7 @@ def compile_file(folder: Path, jobs: int, command: list[str]) -> int:
         jobs: Maximum number of compilers at once.
         command: Compiler and arguments. With `-c` it compiles the C++ file that follows.
     """
-    compiles = "-c" in command and any("torch/csrc" in word for word in command)
-    header = _header(folder, jobs, command) if compiles else None
+    header = _header(folder, jobs, command) if "-c" in command else None
     with _one_of(folder, jobs):
         if header is not None:
             with_header = [*command, "-Winvalid-pch", "-include", str(header)]
