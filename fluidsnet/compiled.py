@@ -6,8 +6,8 @@ import logging
 import warnings
 
 import torch
-import torch_scatter  # noqa: F401  # registers the operators named below
 
+import fluidsnet.torch_extensions  # noqa: F401  # registers the operators named below
 from fluidsnet.features.sparse_convolution import SparseConvolution
 from fluidsnet.network import Network
 

@@ -46,6 +46,9 @@ studies and reports:
   ablations  compare prediction targets and the global feature over several scenes and seeds
   report     write an HTML page with the tables and curves of one run or several
 
+installation:
+  doctor     print versions, what a step runs on, and what is not installed, for a bug report
+
 examples:
   fluidsnet fit --config configs/trainer.yaml --config configs/model/field.yaml \\
                 --config configs/data/sample.yaml
@@ -79,6 +82,7 @@ _COMMANDS = {
     "tune": ("fluidsnet.studies.tune.command", "tune_command"),
     "ablations": ("fluidsnet.studies.ablations.command", "ablations_command"),
     "report": ("fluidsnet.report.command", "report_command"),
+    "doctor": ("fluidsnet.doctor", "doctor_command"),
 }
 
 

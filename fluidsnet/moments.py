@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
-from torch_scatter import gather_csr, segment_csr
 
 from fluidsnet.kernels import moments as compiled
 from fluidsnet.kernels import use_kernel
+from fluidsnet.torch_extensions import gather_csr, segment_csr
 
 #: Number of moments of each feature.
 MOMENTS = compiled.MOMENTS

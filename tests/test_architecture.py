@@ -33,6 +33,7 @@ RANKS = {
     "fluidsnet.export": 2,
     "fluidsnet.loss": 1,
     "fluidsnet.scene": 1,
+    "fluidsnet.torch_extensions": 1,
     "fluidsnet.particles": 2,
     "fluidsnet.periodic": 3,
     "fluidsnet.schedule": 1,
@@ -69,6 +70,7 @@ RANKS = {
     "datamodules": 16,
     "fluidsnet.arguments": 16,
     "fluidsnet.cli": 17,
+    "fluidsnet.doctor": 18,
     "fluidsnet.report": 18,
     "fluidsnet.studies": 19,
     "fluidsnet.main": 20,
@@ -152,6 +154,20 @@ def test_only_kernels_import_numba() -> None:
         or (isinstance(node, ast.ImportFrom) and "numba" in (node.module or ""))
     }
     assert importers == {"fluidsnet.kernels"}
+
+
+def test_only_one_module_imports_torch_cluster_and_torch_scatter() -> None:
+    importers = {
+        module
+        for module, path in modules().items()
+        for node in ast.walk(ast.parse(path.read_text()))
+        if (
+            isinstance(node, ast.Import)
+            and any(alias.name in ("torch_cluster", "torch_scatter") for alias in node.names)
+        )
+        or (isinstance(node, ast.ImportFrom) and node.module in ("torch_cluster", "torch_scatter"))
+    }
+    assert importers == {"fluidsnet.torch_extensions"}
 
 
 def test_the_network_knows_neither_lightning_nor_hdf5() -> None:

@@ -10,13 +10,13 @@ from typing import final
 
 import torch
 from torch import Tensor, nn
-from torch_scatter import gather_csr, segment_csr
 
 from fluidsnet.features.float32_linear import Float32Linear
 from fluidsnet.features.input import InputFeature, ParticleState
 from fluidsnet.features.local import LocalFeature, edge_offsets
 from fluidsnet.neighbors.search import Neighbors
 from fluidsnet.particles import Particles
+from fluidsnet.torch_extensions import gather_csr, segment_csr
 
 
 @final

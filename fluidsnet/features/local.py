@@ -7,7 +7,6 @@ from typing import final
 
 import torch
 from torch import Tensor, nn
-from torch_scatter import gather_csr, segment_csr
 
 from fluidsnet.features.float32_linear import Float32Linear
 from fluidsnet.features.input import InputFeature, ParticleState
@@ -16,6 +15,7 @@ from fluidsnet.kernels import use_kernel
 from fluidsnet.kernels.edge_mean import edge_mean
 from fluidsnet.neighbors.search import Neighbors
 from fluidsnet.particles import Particles
+from fluidsnet.torch_extensions import gather_csr, segment_csr
 
 
 class LocalFeature(nn.Module, ABC):

@@ -9,12 +9,12 @@ from typing import final
 
 import torch
 from torch import Tensor, nn
-from torch_scatter import gather_csr, segment_csr
 
 from fluidsnet.features.norm import BatchNorm
 from fluidsnet.kernels import use_kernel
 from fluidsnet.kernels.voxel_means import voxel_means
 from fluidsnet.particles import Particles
+from fluidsnet.torch_extensions import gather_csr, segment_csr
 
 #: Number of cells of the background grid along x, y and z.
 GridShape = tuple[int, int, int]

@@ -10,7 +10,6 @@ from typing import final
 
 import torch
 from torch import Tensor, nn
-from torch_scatter import gather_csr, segment_csr
 
 from fluidsnet.errors import UserError
 from fluidsnet.features.float32_linear import Float32Linear
@@ -19,6 +18,7 @@ from fluidsnet.features.sparse_convolution import SparseConvolution
 from fluidsnet.features.sparse_grid import SparseGrid
 from fluidsnet.features.voxel import GridShape
 from fluidsnet.particles import Particles
+from fluidsnet.torch_extensions import gather_csr, segment_csr
 
 
 @final

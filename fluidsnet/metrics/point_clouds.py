@@ -6,11 +6,12 @@ import math
 from typing import final
 
 import torch
+from scipy.spatial import cKDTree
 from torch import Tensor
-from torch_cluster import knn
 
 from fluidsnet.metrics.base import RolloutMetric
 from fluidsnet.particles import Particles
+from fluidsnet.torch_extensions import knn
 
 #: Number of particles that `Sinkhorn` draws from each state.
 SAMPLE = 256
@@ -76,6 +77,10 @@ def nearest(points: Tensor, others: Tensor) -> Tensor:
         points: (N, 3) finite, m.
         others: (P, 3) finite, m.
     """
+    if points.device.type == "cpu":
+        tree = cKDTree(others.double().numpy())
+        found, _ = tree.query(points.double().numpy(), workers=torch.get_num_threads())
+        return torch.from_numpy(found)
     point, other = knn(others, points, 1)
     offsets = points[point].double() - others[other].double()
     # knn finds none for a point so far away that float32 overflows.

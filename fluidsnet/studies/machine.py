@@ -41,12 +41,19 @@ def cores() -> int:
 def versions() -> str:
     """Return the versions of Python, of the packages that affect speed, and of the solver."""
     names = [f"Python {platform.python_version()}", f"torch {torch.__version__}"]
-    names += [f"{package} {metadata.version(package)}" for package in _PACKAGES]
+    names += [f"{package} {_version(package)}" for package in _PACKAGES]
     try:
         names.append(f"SPlisHSPlasH {solver_version()}")
     except UserError:
         names.append("SPlisHSPlasH not installed")
     return ", ".join(names)
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "not installed"
 
 
 @final
