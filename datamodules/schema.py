@@ -50,7 +50,7 @@ COMPRESSION: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "sh
 LONGEST_NAME = 100
 
 #: Exceptions that h5py raises for a damaged file.
-DAMAGE = (OSError, KeyError, RuntimeError)
+DAMAGE = (OSError, KeyError, RuntimeError, TypeError, ValueError)
 
 
 @dataclass(frozen=True)
