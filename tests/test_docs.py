@@ -18,7 +18,6 @@ import jsonargparse
 import lightning
 import pytest
 import yaml
-
 from documents import (
     DOCUMENTS,
     ROOT,
@@ -30,6 +29,7 @@ from documents import (
     links,
     save_files,
 )
+
 from fluidsnet.main import _COMMANDS, main
 
 COMMANDS = [command for path in DOCUMENTS for command in commands(path)]
@@ -54,13 +54,14 @@ class Accepted(Exception):
 
 @pytest.fixture
 def stops_when_parsed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ends every command when its own parser has accepted the options."""
+    """Ends every command when its own parser has accepted the options, in full length."""
 
     running: list[Any] = []
 
     def stopping(parse: Callable[..., Any]) -> Callable[..., Any]:
         def parse_args(self: Any, *arguments: Any, **more: Any) -> Any:
             running.append(self)
+            self.allow_abbrev = False
             found = parse(self, *arguments, **more)
             running.pop()
             if running:  # the parser of a subcommand
@@ -114,6 +115,7 @@ def test_a_command_is_accepted_by_its_parser(
         ["trade", "--models", "[{modle: box_drops}]"],
         ["generate", "--config", "configs/scene/sample.yaml", "--root", "x", "--recipe.trian", "1"],
         ["inspect", "--stride", "x"],
+        ["inspect", "--strid", "2"],
         ["simulate", "scene.json"],
         ["generat"],
     ],

@@ -31,7 +31,7 @@ _CODE = re.compile(r"^(```.*?^```)", re.MULTILINE | re.DOTALL)
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the generated pages."""
     pages = {"index.md": (ROOT / "README.md").read_text(), "configs.md": configs_page()}
-    pages |= {f"{name}.md": (ROOT / f"{name}.md").read_text() for name in ("CHANGELOG", "CONTRIBUTING")}
+    pages |= {name: (ROOT / name).read_text() for name in ("CHANGELOG.md", "CONTRIBUTING.md")}
     for name, text in pages.items():
         files.append(File.generated(config, name, content=with_site_links(text, "")))
     return files
@@ -50,9 +50,7 @@ def with_site_links(markdown: str, folder: str) -> str:
         folder: Folder of its file in the repository.
     """
     parts = _CODE.split(markdown)
-    parts[::2] = [
-        _LINK.sub(lambda found: _replaced(found, folder), part) for part in parts[::2]
-    ]
+    parts[::2] = [_LINK.sub(lambda found: _replaced(found, folder), part) for part in parts[::2]]
     return "".join(parts)
 
 
@@ -81,8 +79,9 @@ def configs_page() -> str:
     lines = [
         "# Configs",
         "",
-        "`fluidsnet fit`, `validate`, `test` and `predict` merge the files of `--config` in the order given: trainer, "
-        "model, data, then overlays. `generate` takes a file of `configs/scene`, a study one of `configs/study`.",
+        "`fluidsnet fit`, `validate`, `test` and `predict` merge the files of `--config` in the "
+        "order given: trainer, model, data, then overlays. `generate` takes a file of "
+        "`configs/scene`, a study one of `configs/study`.",
     ]
     for folder, title in FOLDERS.items():
         lines += ["", f"## {title}"]
