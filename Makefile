@@ -35,7 +35,8 @@ test: setup lint ## check style and types, then run every test
 	GOMP_SPINCOUNT=1000 $(IN_VENV) -m pytest -n 2 --dist loadfile
 
 docs: setup ## build the documentation site in site/; every warning is an error
-	$(IN_VENV) -m mkdocs build --strict
+	NO_MKDOCS_2_WARNING=1 $(IN_VENV) -m mkdocs build --strict
+	@echo 'Open site/index.html; to search, serve it: $(IN_VENV) -m http.server --directory site'
 
 soak: setup ## try damaged data files for ten minutes; fails where one does harm
 	$(IN_VENV) -m tools.soak

@@ -6,10 +6,12 @@ and links to files that are no pages lead to the page that has their content.
 
 from __future__ import annotations
 
+import posixpath
 import re
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
@@ -25,6 +27,7 @@ FOLDERS = {
 }
 
 _LINK = re.compile(r"(\]\()([^)\s#]*)(#[^)\s]*)?(\))")
+_PAGE_LINK = re.compile(r'href="([^":#]+\.md)(#[^"]*|)"')
 _CODE = re.compile(r"^(```.*?^```)", re.MULTILINE | re.DOTALL)
 
 
@@ -40,6 +43,25 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Return the Markdown of a page with links that hold on the site."""
     return with_site_links(markdown, f"docs/{Path(page.file.src_uri).parent.as_posix()}")
+
+
+def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Return the HTML of a page, with links that MkDocs leaves as they are in a notebook.
+
+    Raises:
+        PluginError: A notebook links to a page that does not exist.
+    """
+    if not page.file.src_uri.endswith(".ipynb"):
+        return html
+
+    def replaced(link: re.Match[str]) -> str:
+        target = posixpath.normpath(posixpath.join(page.file.src_uri, "..", link.group(1)))
+        file = files.get_file_from_path(target)
+        if file is None:
+            raise PluginError(f"{page.file.src_uri} links to {link.group(1)}, which does not exist")
+        return f'href="{file.url_relative_to(page.file)}{link.group(2)}"'
+
+    return _PAGE_LINK.sub(replaced, html)
 
 
 def with_site_links(markdown: str, folder: str) -> str:
