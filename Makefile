@@ -11,7 +11,7 @@ MYPY_CACHE := $(if $(shell test -w . && echo yes),.mypy_cache,/dev/null)
 IN_VENV := .venv/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo lint test soak clean
+.PHONY: help setup demo lint test docs soak clean
 
 help: ## list these tasks
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s  %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -34,9 +34,13 @@ test: setup lint ## check style and types, then run every test
 	@# GOMP_SPINCOUNT as in fluidsnet/main.py. Tests of a file share fixtures: one worker runs a file.
 	GOMP_SPINCOUNT=1000 $(IN_VENV) -m pytest -n 2 --dist loadfile
 
+docs: setup ## build the documentation site in site/; every warning is an error
+	NO_MKDOCS_2_WARNING=1 $(IN_VENV) -m mkdocs build --strict
+	@echo 'Open site/index.html; to search, serve it: $(IN_VENV) -m http.server --directory site'
+
 soak: setup ## try damaged data files for ten minutes; fails where one does harm
 	$(IN_VENV) -m tools.soak
 
 clean: ## remove .venv and caches; keeps the compiled wheels in the user's cache
-	rm -rf .venv build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache
+	rm -rf .venv build dist site *.egg-info .mypy_cache .ruff_cache .pytest_cache
 	find $(PACKAGES) tests -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -27,10 +27,10 @@ _COLUMNS = ("scene", "solver", "fluid", "solid", "what happens")
 _DURATION, _LIMIT = 0.1, 60.0
 _TEXT = """# Scene files of SPlisHSPlasH
 
-`fluidsnet generate --scene-file NAME` runs these scenes, which SPlisHSPlasH's package installs
-(version {version}), or refuses them with the reason. Each was run for {duration} s of simulated
-time, on one thread; `python -m tools.try_scenes` makes the table. [data.md](data.md) says what of a
-scene is kept.
+`fluidsnet generate --scene-file NAME --root FOLDER` runs these scenes, which SPlisHSPlasH's
+package installs (version {version}), or refuses them with the reason. Each was run for {duration} s
+of simulated time, on one thread; `python -m tools.try_scenes` makes the table. [data.md](data.md)
+says what of a scene is kept.
 
 {count} scenes: {runs} run, {refused} are refused, {failed} fail.
 
