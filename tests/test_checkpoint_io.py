@@ -159,7 +159,7 @@ def test_options_that_a_checkpoint_does_not_allow_are_named(
         ),
         (
             [*again, "--model.init_args.optimizer=torch.optim.SGD"],
-            'model.optimizer is "torch.optim.SGD", and "torch.optim.Adam" in the checkpoint',
+            "model.optimizer is torch.optim.SGD, and torch.optim.Adam in the checkpoint",
         ),
         ([*again[:-1], "--ckpt_path=hpc"], "--ckpt_path hpc: name the file"),
     ):

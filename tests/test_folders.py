@@ -117,10 +117,16 @@ def commands(folder: Path, sample: Path) -> dict[str, list[str]]:
 
 def test_a_forked_process_does_not_keep_a_folder(tmp_path: Path) -> None:
     context = multiprocessing.get_context("fork")
-    done = context.Event()
+    begun, done = context.Event(), context.Event()
+
+    def work() -> None:
+        begun.set()
+        done.wait()
+
     with FolderLock(tmp_path):
-        worker = context.Process(target=done.wait)
+        worker = context.Process(target=work)
         worker.start()
+        assert begun.wait(60)
     with FolderLock(tmp_path):
         done.set()
     worker.join()
