@@ -96,6 +96,10 @@ class SceneAttributes:
                 raise UserError(f"{_where(owner, name)} must be {expected} {kind}.")
             if not np.isfinite(value).all():
                 raise UserError(f"{_where(owner, name)} is {value.tolist()}; it must be finite.")
+            if np.abs(value).max() > _GREATEST:
+                raise UserError(
+                    f"{_where(owner, name)} is {value.tolist()}; single precision ends at 1e38."
+                )
             plain = value.astype(dtype).tolist()
             values[name] = tuple(plain) if shape else plain
         scene = cls(**values)
@@ -160,6 +164,10 @@ class Header:
         return cls(**values | texts | {name: float(values[name]) for name in LENGTHS})
 
 
+# Greatest value of a scene; float32 ends at 1e38.
+_GREATEST = 1e30
+# Least length and time; volumes of smaller particles are zero in float32.
+_LEAST = 1e-12
 #: Attributes of the file that are one positive number.
 LENGTHS = ("particle_radius", "support_radius", "dt")
 #: Attributes of the file that are text.
@@ -257,6 +265,11 @@ def _check_header(file: h5py.File) -> None:
             raise UserError(f"the attribute {name} must be one number.")
         if not (np.isfinite(value) and value > 0):
             raise UserError(f"the attribute {name} is {value}; it must be finite and above zero.")
+        if not _LEAST <= value <= 1 / _LEAST:
+            raise UserError(
+                f"the attribute {name} is {value}; it must lie between {_LEAST:g} and "
+                f"{1 / _LEAST:g}: other units would do."
+            )
     radius, support = (float(file.attrs[name]) for name in LENGTHS[:2])
     if support <= radius:
         raise UserError(

@@ -124,6 +124,11 @@ SPOILED: dict[str, tuple[Spoil, list[str]]] = {
     "dt zero": (set_attribute("dt", 0.0), ["dt", "above zero"]),
     "dt three numbers": (set_attribute("dt", np.ones(3)), ["dt", "one number"]),
     "radius not a number": (set_attribute("particle_radius", np.nan), ["radius", "above zero"]),
+    "radius of nothing": (
+        set_attribute("particle_radius", 1e-300),
+        ["radius is 1e-300", "between"],
+    ),
+    "viscosity beyond": (set_scene("viscosity", 1e300), ["/00000", "viscosity is 1e+300"]),
     "parameters no JSON": (set_attribute("solver_parameters", "{"), ["solver_parameters", "JSON"]),
     "flat domain": (
         set_scene("domain_upper", np.array([1.5, 0.0, 1.5])),
