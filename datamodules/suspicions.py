@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from datamodules.damage import is_repeated, is_zero
 from datamodules.fall import Fall
 from datamodules.schema import Header, SceneAttributes
-from datamodules.values import rounding
+from datamodules.values import GREATEST, rounding
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class Suspicions:
             position: (N, 3) m.
             velocity: (N, 3) m/s.
         """
-        if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
+        if not all((np.abs(it) <= GREATEST).all() for it in (position, velocity)):
             self._bad.append(frame)
             self._before = None
             return False
@@ -83,7 +83,7 @@ class Suspicions:
 
     def damage(self, group: h5py.Group) -> list[str]:
         """Return what no command takes from the file."""
-        found = {"not finite": self._bad, "all zero": self._zero}
+        found = {f"not finite, or beyond {GREATEST:g}": self._bad, "all zero": self._zero}
         sentences = [
             f"{_frames(numbers)} {what}, the first is {numbers[0]}"
             for what, numbers in found.items()

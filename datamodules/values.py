@@ -12,6 +12,8 @@ from torch import Tensor
 from datamodules.schema import SceneAttributes
 from fluidsnet.errors import UserError
 
+#: Greatest value that is taken from a file; float32 ends at 1e38.
+GREATEST = 1e30
 Vector = tuple[float, float, float]
 
 NO_ORIGIN: Vector = (0.0, 0.0, 0.0)
@@ -56,7 +58,7 @@ def as_tensor(values: NDArray[Any], origin: Vector = NO_ORIGIN) -> Tensor:
 
 
 def check_finite(values: Tensor, path: object, name: str, what: str) -> None:
-    """Check that values of a file are finite.
+    """Check that values of a file are finite, and not so large that a step is not.
 
     Args:
         values: Values.
@@ -67,10 +69,12 @@ def check_finite(values: Tensor, path: object, name: str, what: str) -> None:
     Raises:
         UserError: One is not.
     """
-    if not bool(torch.isfinite(values).all()):
-        count = int((~torch.isfinite(values)).sum())
+    # Not a number is not below it either.
+    usable = values.abs() <= GREATEST
+    if not bool(usable.all()):
+        count = int((~usable).sum())
         raise UserError(
-            f"{path}: {count} of the numbers of {name} in {what} are not finite; leave such frames "
-            "out with data.frame_range, or write the file again without them. `fluidsnet inspect` "
-            "lists them."
+            f"{path}: {count} of the numbers of {name} in {what} are not finite, or beyond "
+            f"{GREATEST:g}; leave such frames out with data.frame_range, or write the file again "
+            "without them. `fluidsnet inspect` lists them."
         )

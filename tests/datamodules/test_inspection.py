@@ -150,7 +150,7 @@ def solids_twice(file: h5py.File) -> None:
 
 
 SPOILED: dict[str, tuple[Spoil, str]] = {
-    "not finite": (not_finite, "2 frames are not finite, the first is 7"),
+    "not finite": (not_finite, r"2 frames are not finite, or beyond 1e\+30, the first is 7"),
     "shuffled rows": (shuffled, "rows may not keep their particle"),
     "escaped": (escaped, "up to 1 particles are outside the domain"),
     "another dt": (other_dt, "the frames are not dt apart"),
