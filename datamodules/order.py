@@ -11,6 +11,7 @@ from lightning.pytorch.overrides.distributed import UnrepeatedDistributedSampler
 from torch import distributed
 from torch.utils.data import DistributedSampler
 
+from fluidsnet.distributed import processes
 from fluidsnet.errors import UserError
 from fluidsnet.rng import derived_seed
 
@@ -36,11 +37,11 @@ class TrainingOrder(DistributedSampler[Draw]):
     """
 
     def __init__(self, samples: Sized, epoch: int = 0, done: int = 0) -> None:
-        processes = process_count()
-        rank = distributed.get_rank() if processes > 1 else 0
+        count = processes()
+        rank = distributed.get_rank() if count > 1 else 0
         # As Lightning seeds the samplers that it makes. Without a seed, one process takes its own.
-        seed = os.environ.get("PL_GLOBAL_SEED", torch.initial_seed() if processes == 1 else 0)
-        super().__init__(cast(Any, samples), processes, rank, seed=derived_seed(int(seed)))
+        seed = os.environ.get("PL_GLOBAL_SEED", torch.initial_seed() if count == 1 else 0)
+        super().__init__(cast(Any, samples), count, rank, seed=derived_seed(int(seed)))
         # Workers read ahead before Lightning says which epoch it is.
         self.set_epoch(epoch)
         self.done = done
@@ -51,12 +52,6 @@ class TrainingOrder(DistributedSampler[Draw]):
         for place, index in enumerate(order):
             if place >= done:
                 yield Draw(index, derived_seed(self.seed, self.epoch, self.rank, place))
-
-
-def process_count() -> int:
-    """Return the number of processes that train together."""
-    several = distributed.is_available() and distributed.is_initialized()
-    return distributed.get_world_size() if several else 1
 
 
 def progress_of(trainer: Any) -> tuple[int, int]:
@@ -83,10 +78,10 @@ def each_once(dataset: Sized) -> UnrepeatedDistributedSampler | None:
     """
     if not (distributed.is_available() and distributed.is_initialized()):
         return None
-    processes = distributed.get_world_size()
-    if len(dataset) < processes:
+    count = processes()
+    if len(dataset) < count:
         raise UserError(
-            f"There are {processes} processes and only {len(dataset)} samples or simulations, "
+            f"There are {count} processes and only {len(dataset)} samples or simulations, "
             "and each process needs one; set trainer.devices to fewer."
         )
     return UnrepeatedDistributedSampler(dataset, shuffle=False)

@@ -96,7 +96,7 @@ class SceneAttributes:
                 raise UserError(f"{_where(owner, name)} must be {expected} {kind}.")
             if not np.isfinite(value).all():
                 raise UserError(f"{_where(owner, name)} is {value.tolist()}; it must be finite.")
-            if np.abs(value).max() > _GREATEST:
+            if np.abs(value).max() > GREATEST:
                 raise UserError(
                     f"{_where(owner, name)} is {value.tolist()}; single precision ends at 1e38."
                 )
@@ -164,8 +164,8 @@ class Header:
         return cls(**values | texts | {name: float(values[name]) for name in LENGTHS})
 
 
-# Greatest value of a scene; float32 ends at 1e38.
-_GREATEST = 1e30
+#: Greatest value that is taken from a file; float32 ends at 1e38.
+GREATEST = 1e30
 # Least length and time; volumes of smaller particles are zero in float32.
 _LEAST = 1e-12
 #: Attributes of the file that are one positive number.

@@ -17,11 +17,12 @@ from torch.utils.data import DataLoader, Sampler
 
 from datamodules.augmentation import Augmentation
 from datamodules.needs import grid_shape, varying
-from datamodules.order import TrainingOrder, each_once, process_count, progress_of
+from datamodules.order import TrainingOrder, each_once, progress_of
 from datamodules.reader import FrameReader
 from datamodules.rollout_starts import HDF5RolloutStarts
 from datamodules.schema import SPLITS
 from datamodules.transitions import Sample, TransitionDataset, samples_in, statistics
+from fluidsnet.distributed import processes
 from fluidsnet.errors import UserError
 from fluidsnet.particles import RolloutStart, Transitions
 from fluidsnet.scene import Scene
@@ -193,7 +194,7 @@ class SPHDataModule(LightningDataModule):
             self.augmentation.check(self.scenes)
 
     def state_dict(self) -> dict[str, Any]:
-        return {"batch_size": self.batch_size, "processes": process_count()}
+        return {"batch_size": self.batch_size, "processes": processes()}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         # Batches of another size would leave out other samples than those that are done.

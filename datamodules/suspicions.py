@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from datamodules.damage import is_repeated, is_zero
 from datamodules.fall import Fall
-from datamodules.schema import Header, SceneAttributes
-from datamodules.values import GREATEST, rounding
+from datamodules.schema import GREATEST, Header, SceneAttributes
+from datamodules.values import rounding
 
 Array = NDArray[np.float64]
 

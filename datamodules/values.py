@@ -9,11 +9,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from datamodules.schema import SceneAttributes
+from datamodules.schema import GREATEST, SceneAttributes
 from fluidsnet.errors import UserError
 
-#: Greatest value that is taken from a file; float32 ends at 1e38.
-GREATEST = 1e30
 Vector = tuple[float, float, float]
 
 NO_ORIGIN: Vector = (0.0, 0.0, 0.0)

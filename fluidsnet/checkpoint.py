@@ -13,8 +13,6 @@ NOTE = "fluidsnet_models"
 #: Prefix of the models' weights in the state dict.
 PREFIX = "models."
 _GRID, _DIMENSION = "grid_shape", "dimension"
-# Key of the hyperparameters of a module that was built from a config.
-_FROM_CONFIG = "_class_path"
 
 Note = dict[str, dict[str, Any]]
 

@@ -1,4 +1,4 @@
-"""What a checkpoint says of the training that goes on from it."""
+"""Preparation of a checkpoint for the training that goes on from it."""
 
 from __future__ import annotations
 

@@ -80,6 +80,7 @@ RANKS = {
 KNOWN_TO_DATA = {
     "fluidsnet.checksums",
     "fluidsnet.child_process",
+    "fluidsnet.distributed",
     "fluidsnet.errors",
     "fluidsnet.folder_lock",
     "fluidsnet.particles",

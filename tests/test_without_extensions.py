@@ -1,4 +1,4 @@
-"""What runs where torch-cluster and torch-scatter are not installed, in a process without them."""
+"""Models and commands in a process without torch-cluster and torch-scatter."""
 
 from __future__ import annotations
 
