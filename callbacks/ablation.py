@@ -12,9 +12,10 @@ from lightning.pytorch.utilities import rank_zero_info
 from torch import nn
 
 from fluidsnet.baselines import TRIVIAL_PREDICTORS
+from fluidsnet.block_types import Block, can_be
 from fluidsnet.errors import UserError
 from fluidsnet.metrics.suite import BASELINES
-from fluidsnet.model import BLOCKS, Block, Model, can_be
+from fluidsnet.model import BLOCKS, Model
 from fluidsnet.module import FluidsNet
 from fluidsnet.particles import Transitions
 from fluidsnet.reporting.charts import Charts, ChartSource

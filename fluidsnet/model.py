@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import inspect
-import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from functools import partial
-from types import FunctionType, UnionType
-from typing import TYPE_CHECKING, Any, Union, final, get_args, get_origin, get_type_hints
+from typing import Any, final
 
 import torch
 from torch import Tensor, nn
@@ -25,10 +22,11 @@ from fluidsnet.neighbors import Auto, NeighborSearch
 from fluidsnet.network import GlobalFeatureFactory, Network
 from fluidsnet.noise import StartNoise
 from fluidsnet.particles import Particles, Transitions
-from fluidsnet.periodic import is_periodic, wrapped
+from fluidsnet.periodic import wrapped
 from fluidsnet.priors import FreeFall, Guess, Prior
 from fluidsnet.rng import preserve_rng_state
 from fluidsnet.scene import Scene
+from fluidsnet.scene_checks import check_scenes
 from fluidsnet.statistics import Residuals, Statistics
 from fluidsnet.target import Target, VelocityTarget
 from fluidsnet.walls import OpenWalls, Walls
@@ -182,47 +180,7 @@ class Model(nn.Module):
                 not know periodic axes; or the network was trained in another number of dimensions,
                 or at another value of what did not vary.
         """
-        self._check_periodic(scenes)
-        for doubt in self.prior.doubts(scenes) if self.network.reads_guess else ():
-            warnings.warn(doubt, stacklevel=2)
-        if not self.network.target.width:
-            self._warn_of_unknown(scenes)
-            return
-        feature = self.network.global_feature
-        if feature.needs_its_grid:
-            scenes.check_one_box(type(feature).__name__)
-        if scenes.dimension != self.network.dimension:
-            raise UserError(
-                f"This network was trained in {self.network.dimension} dimensions, and "
-                f"{scenes.names[0]} has {scenes.dimension}; train on such scenes."
-            )
-        self.network.scene_inputs.check(scenes)
-
-    def _check_periodic(self, scenes: Scene) -> None:
-        if not is_periodic(scenes):
-            return
-        used: list[Any] = [self.network.global_feature] if self.network.target.width else []
-        used += [self.prior] if self.network.reads_guess else []
-        for block in used:
-            if not block.knows_periodic:
-                raise UserError(
-                    f"{scenes.names[0]} has periodic axes, which {type(block).__name__} does not "
-                    "know; use the paper's network (configs/model/paper.yaml), or the prior "
-                    "FreeFall without a VoxelField."
-                )
-
-    def _warn_of_unknown(self, scenes: Scene) -> None:
-        """Warn of surface tension that a prior alone leaves out."""
-        if "surface_tension" in self.prior.knows:
-            return
-        for name, value in zip(scenes.names, scenes.surface_tension.tolist(), strict=True):
-            if value:
-                warnings.warn(
-                    f"{name} has a surface tension of {value:g}, which the prior "
-                    f"{type(self.prior).__name__} leaves out.",
-                    stacklevel=3,
-                )
-                return
+        check_scenes(self.network, self.prior, scenes)
 
     def check_time_step(self, time_step: float) -> None:
         """Check that the model is for a time step, s; one without a step of its own takes any.
@@ -318,34 +276,3 @@ class Model(nn.Module):
 
 #: Names of the blocks.
 BLOCKS = tuple(inspect.signature(Model).parameters)[1:-2]
-_TYPES = {name: get_type_hints(Model.__init__)[name] for name in BLOCKS}
-# A model without one of the others gets its default.
-_OPTIONAL = {"noise"}
-
-if TYPE_CHECKING:
-    Block = Any
-else:
-    # jsonargparse can save a list of widths only if its type is the first of the union.
-    #: Type of any block, for configs.
-    Block = Union[(list[int], *_TYPES.values())]
-
-
-def can_be(name: str, value: Any) -> bool:
-    """Return whether a value can be the block of this name.
-
-    Args:
-        name: One of `BLOCKS`.
-        value: Block, or a recipe for it where the model builds it.
-    """
-    if value is None:
-        return name in _OPTIONAL
-    hint = _TYPES[name]
-    for kind in get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,):
-        kind = get_origin(kind) or kind
-        if kind is Callable:
-            # Blocks can be called, too.
-            if isinstance(value, type | partial | FunctionType):
-                return True
-        elif isinstance(value, kind) and not isinstance(value, str):
-            return True
-    return False
