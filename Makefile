@@ -19,7 +19,7 @@ help: ## list these tasks
 	@echo 'make setup PYTHON=python3.12                  makes .venv with another Python'
 	@echo 'make setup TORCH="torch==2.9.1 --index-url …" installs that torch in .venv'
 
-setup: ## install FluidsNet and its dependencies into .venv; up to ten minutes on two cores
+setup: ## install FluidsNet and its dependencies into .venv; about six minutes on two cores
 	@$(PYTHON) -m tools.install
 
 demo: setup ## simulate, train, test and roll out a small dam break; about five minutes

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import re
+import signal
 import sys
 import threading
 from importlib import import_module
@@ -139,6 +140,7 @@ def _start_process() -> None:
             # that knows ASCII alone gets other characters as escapes.
             stream.reconfigure(line_buffering=True, errors="backslashreplace")
     threading.excepthook = _in_thread
+    sys.unraisablehook = _in_callback
     if sys.modules["__main__"].__spec__ is None:
         # Python would look for modules of its children in the working folder first, where data of
         # strangers may lie; with `python -m` the user has chosen that.
@@ -192,6 +194,21 @@ def _in_thread(failed: threading.ExceptHookArgs) -> None:
     """Print the traceback of a thread, but of a full disk, which the main thread names."""
     if not issubclass(failed.exc_type, OSError):
         threading.__excepthook__(failed)
+
+
+def _in_callback(ignored: sys.UnraisableHookArgs) -> None:
+    """Raise Ctrl-C again, which Python drops where it comes in a callback of the garbage collector.
+
+    HDF5 handles are counted by such callbacks, so that a loop that writes a file is often in one.
+    """
+    if issubclass(ignored.exc_type, KeyboardInterrupt):
+        # Raised at once, it would be dropped in this function, too.
+        main_thread = threading.main_thread().ident
+        again = threading.Timer(0.01, signal.pthread_kill, (main_thread, signal.SIGINT))
+        again.daemon = True
+        again.start()
+    else:
+        sys.__unraisablehook__(ignored)
 
 
 def _fail(message: str) -> NoReturn:

@@ -686,3 +686,25 @@ def test_a_rollout_that_is_interrupted_keeps_its_steps(
     assert "Traceback" not in errors
     (path,) = folder.glob("*.vtkhdf")
     assert len(read_field_data(path)["time"]) > 1
+
+
+def test_ctrl_c_in_a_callback_of_the_garbage_collector_is_not_lost(default_signals: None) -> None:
+    code = """
+import signal, sys, time, weakref
+from fluidsnet.main import main
+
+sys.argv = ["fluidsnet", "--help"]
+main()
+counted = type("Counted", (), {})()
+reference = weakref.ref(counted, lambda _: signal.raise_signal(signal.SIGINT))
+try:
+    del counted
+    time.sleep(20)
+    print("lost")
+except KeyboardInterrupt:
+    print("came")
+"""
+    command = [sys.executable, "-c", code]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    assert ended.stdout.endswith("came\n")
+    assert not ended.stderr
