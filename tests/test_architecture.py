@@ -30,7 +30,7 @@ RANKS = {
     "fluidsnet.same_settings": 0,
     "fluidsnet.statistics": 0,
     "fluidsnet.whole_file": 1,
-    "fluidsnet.export": 2,
+    "fluidsnet.export": 4,
     "fluidsnet.loss": 1,
     "fluidsnet.scene": 1,
     "fluidsnet.torch_extensions": 1,

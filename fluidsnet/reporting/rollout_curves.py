@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 from lightning.pytorch.loggers import TensorBoardLogger
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from PIL import Image
 
 from fluidsnet.baselines import TRIVIAL_PREDICTORS, Baselines
 from fluidsnet.metrics.suite import RolloutResults
@@ -51,18 +53,24 @@ def draw_curves(
         loggers: Loggers of the trainer; those of TensorBoard get the panels.
         group: Group of the tags in TensorBoard.
     """
-    figure = Figure(figsize=(15, 4.2), dpi=100, layout="constrained")
-    for axes, panel in zip(figure.subplots(1, len(_PANELS)), _PANELS, strict=True):
-        _draw(axes, panel, results, time_step)
+    pictures = [_picture(panel, results, time_step) for panel in _PANELS]
     with whole_file(path) as partial:
-        figure.savefig(partial)
+        Image.fromarray(np.hstack(pictures)).save(partial, format="PNG")
     for logger in loggers:
         if isinstance(logger, TensorBoardLogger):
             # One picture per panel, as TensorBoard shows pictures small.
-            for panel in _PANELS:
-                single = Figure(figsize=(5.4, 4.2), dpi=100, layout="constrained")
-                _draw(single.subplots(), panel, results, time_step)
-                logger.experiment.add_figure(f"{group}/{panel[0]}", single, close=False)
+            for panel, picture in zip(_PANELS, pictures, strict=True):
+                tag = f"{group}/{panel[0]}"
+                logger.experiment.add_image(tag, picture, dataformats="HWC")
+
+
+def _picture(panel: _Panel, results: RolloutResults, time_step: float) -> NDArray[np.uint8]:
+    """Return one panel as a picture (height, width, 3)."""
+    figure = Figure(figsize=(5.2, 4.2), dpi=100, layout="constrained")
+    canvas = FigureCanvasAgg(figure)
+    _draw(figure.subplots(), panel, results, time_step)
+    canvas.draw()  # type: ignore[no-untyped-call]
+    return np.asarray(canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]
 
 
 def _draw(axes: Axes, panel: _Panel, results: RolloutResults, time_step: float) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fluidsnet.export import Panel, side_by_side
 from fluidsnet.export.camera import Camera
+from fluidsnet.kernels.spheres import nearest_spheres
 
 LOWER, UPPER, RADIUS = (0.0, 0.0, 0.0), (1.5, 1.0, 1.5), 0.025
 
@@ -94,6 +95,22 @@ def test_a_near_particle_hides_a_far_one(tmp_path: Path) -> None:
     speed = np.concatenate([np.zeros(len(wall)), np.full(len(inside), 9.0)])
     side_by_side(path, [Panel("", position, speed)] * 2, LOWER, UPPER, RADIUS, speed_max=9.0)
     assert fluid(halves(path)[0])[:, 0].max() < 0.6  # the white ones are inside the blue block
+
+
+def test_the_nearest_sphere_of_every_pixel_is_seen() -> None:
+    rng = np.random.default_rng(0)
+    width, height, radius = 50, 40, 0.3
+    # Some reach beyond the picture, some are smaller than a pixel.
+    center = rng.uniform((-3, -3, 2), (53, 43, 4), (60, 3))
+    size = rng.uniform(0.3, 9, 60)
+    row, column = np.mgrid[:height, :width] + 0.5
+    apart = np.stack([column, row], axis=-1)[:, :, None] - center[:, :2]
+    squared = (apart**2).sum(axis=-1) / size**2
+    surface = center[:, 2] - radius * np.sqrt(np.maximum(1 - squared, 0))
+    surface[squared >= 1] = np.inf
+    expected = np.where((squared < 1).any(axis=-1), surface.argmin(axis=-1), -1)
+    assert (expected >= 0).mean() > 0.5 and (expected < 0).any()
+    assert np.array_equal(nearest_spheres(center, size, radius, width, height), expected)
 
 
 def test_a_full_page_stays_small(tmp_path: Path) -> None:
