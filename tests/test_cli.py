@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from processes import started
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.plugins.custom_scalar.layout_pb2 import Layout
 
@@ -625,28 +626,28 @@ def test_a_resumed_schedule_is_stretched_on_purpose(
 
 def killed(
     arguments: list[str], number: signal.Signals, folder: Path, sign: str, size: int
-) -> tuple[int, str]:
-    """Run a command, send it a signal once a file is large, and return its status and errors."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "fluidsnet.main", *arguments],
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+) -> tuple[int | None, str]:
+    """Run a command, send it a signal once a file is large; return its status and output."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    output = folder.parent / "output.txt"
+    process = started(arguments, output)
+    assert process.pid is not None
     deadline = time.monotonic() + 120
-    while process.poll() is None:
+    while process.is_alive():
         if any(path.stat().st_size > size for path in folder.glob(sign)):
             break
         assert time.monotonic() < deadline
         time.sleep(0.05)
-    process.send_signal(number)
-    _, errors = process.communicate(timeout=120)
-    return process.returncode, errors
+    os.kill(process.pid, number)
+    process.join(120)
+    return process.exitcode, output.read_text()
 
 
 @pytest.mark.parametrize(
     ("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["ctrl-c", "term"]
 )
 def test_a_run_that_is_interrupted_before_its_first_validation_keeps_its_weights(
-    sample: Path, tmp_path: Path, number: signal.Signals, status: int, default_signals: None
+    sample: Path, tmp_path: Path, number: signal.Signals, status: int
 ) -> None:
     arguments = [
         "fit",
@@ -669,7 +670,7 @@ def test_a_run_that_is_interrupted_before_its_first_validation_keeps_its_weights
     ("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["ctrl-c", "term"]
 )
 def test_a_rollout_that_is_interrupted_keeps_its_steps(
-    sample: Path, tmp_path: Path, number: signal.Signals, status: int, default_signals: None
+    sample: Path, tmp_path: Path, number: signal.Signals, status: int
 ) -> None:
     arguments = [
         "predict",

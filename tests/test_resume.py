@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import random
 import time
 from pathlib import Path
@@ -11,14 +10,12 @@ from typing import Any
 import pytest
 import torch
 import yaml
+from processes import started
 
 from fluidsnet.main import main
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 STEPS = 34
-# Imports torch and Lightning once, and no thread of a parallel region is forked.
-PROCESSES = multiprocessing.get_context("forkserver")
-PROCESSES.set_forkserver_preload(["fluidsnet.cli", "datamodules.sph"])
 
 
 def overlay(folder: Path, every: str) -> Path:
@@ -55,12 +52,6 @@ def options(model: str, overlay: Path, sample: Path, folder: Path, workers: int)
     ]
 
 
-def fit(arguments: list[str]) -> None:
-    """Fit in this process, whose workers are those of any other."""
-    multiprocessing.set_start_method("fork", force=True)
-    main(arguments)
-
-
 def train(arguments: list[str], last: Path, saves: int | None, delay: float = 0.0) -> bool:
     """Fit in a process of its own; return whether it came to its end.
 
@@ -70,8 +61,7 @@ def train(arguments: list[str], last: Path, saves: int | None, delay: float = 0.
         saves: Number of writes of it after which the process is killed; None for none.
         delay: Time from the last of them to the kill, s.
     """
-    process = PROCESSES.Process(target=fit, args=(arguments,))
-    process.start()
+    process = started(arguments, last.parents[2].with_suffix(".txt"))
     seen, found = 0, last.stat().st_mtime_ns if last.exists() else 0
     deadline = time.monotonic() + 300
     while process.is_alive():

@@ -1,4 +1,4 @@
-"""Damaged data files: a few hundred of those that `make soak` tries."""
+"""Damaged data files: some of those that `make soak` tries."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from tools.soak_runs import soak_runs
 
 
 def test_no_damaged_file_is_let_in_or_breaks_the_program(tmp_path: Path) -> None:
-    counts = soak(seconds=300, most=200, seed=7, keep=tmp_path)
-    assert sum(counts.values()) == 200
+    counts = soak(seconds=300, most=60, seed=7, keep=tmp_path)
+    assert sum(counts.values()) == 60
     assert {fault: counts[fault] for fault in FAULTS} == dict.fromkeys(FAULTS, 0)
     # Of both kinds, or the mutations do nothing, or all of them the same.
-    assert counts["refused"] > 50 and counts["harmless"] > 20
+    assert counts["refused"] > 15 and counts["harmless"] > 5
 
 
 def test_a_loop_in_a_file_ends_with_its_name(
@@ -54,6 +54,6 @@ def test_a_crash_of_the_library_is_a_sentence(tmp_path: Path) -> None:
 
 
 def test_killed_trainings_and_full_disks_leave_whole_files() -> None:
-    counts = soak_runs(seconds=30, seed=1)
+    counts = soak_runs(seconds=8, seed=1)
     assert sum(counts.values()) > 0
     assert not {fault: count for fault, count in counts.items() if fault in FAULTS}

@@ -6,8 +6,6 @@ import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -15,6 +13,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from processes import started
 
 from fluidsnet.errors import UserError
 from fluidsnet.main import main
@@ -43,7 +42,6 @@ def at_the_root(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
 
 
-@pytest.mark.usefixtures("default_signals")
 def test_an_interrupted_study_goes_on_and_ends_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -53,13 +51,9 @@ def test_an_interrupted_study_goes_on_and_ends_once(
     checkpoint = run / "checkpoints" / "last.ckpt"
     # The keyboard signals the whole process group, a scheduler the study alone.
     for number, send, status in ((signal.SIGINT, os.killpg, 130), (signal.SIGTERM, os.kill, 143)):
-        study = subprocess.Popen(
-            [sys.executable, "-m", "fluidsnet.main", *arguments],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
+        output = tmp_path / "output.txt"
+        study = started(arguments, output, first=os.setsid)
+        assert study.pid is not None
         before = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
         deadline = time.monotonic() + 120
         while time.monotonic() < deadline:
@@ -67,8 +61,8 @@ def test_an_interrupted_study_goes_on_and_ends_once(
                 break
             time.sleep(0.05)
         send(study.pid, number)
-        _, errors = study.communicate(timeout=60)
-        assert study.returncode == status, errors
+        study.join(60)
+        assert study.exitcode == status, output.read_text()
         assert json.loads((run / NOTE).read_text())["done"] == []
 
     main(arguments)
@@ -90,25 +84,6 @@ def test_an_interrupted_study_goes_on_and_ends_once(
     with pytest.raises(SystemExit, match="1"):
         main(options(folder, 25))
     assert "was trained with other options or configs" in capsys.readouterr().err
-
-
-def test_a_failed_training_is_reported_and_the_others_are_finished(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = options(tmp_path, 2)
-    arguments[1] = f"--runs={json.dumps([{'scene': 'sample', 'strides': [999, 1], 'seeds': [0]}])}"
-    with pytest.raises(SystemExit, match="1"):
-        main([*arguments, "--jobs=1"])
-    output = capsys.readouterr()
-    assert "no sample for train" in output.err
-    assert "the same command then does the rest" in output.err
-    assert "1 of 2 runs are finished" in output.out
-
-
-def test_a_failed_training_gives_the_reason(tmp_path: Path) -> None:
-    configs = [Path("configs", f"{name}.yaml") for name in ("trainer", "model/paper")]
-    with pytest.raises(UserError, match=r"fit of .*run failed: .*max_stepz"):
-        Training(tmp_path / "run", configs, ["--trainer.max_stepz=3"], 1).run("fit")
 
 
 def a_training(folder: Path, steps: int, *more: str) -> Training:
@@ -172,23 +147,6 @@ def test_a_fit_ended_by_a_signal_is_not_done(
     assert json.loads((folder / NOTE).read_text())["done"] == []
 
 
-def test_stages_finished_by_another_process_are_not_run_again(tmp_path: Path) -> None:
-    config = tmp_path / "study.yaml"
-    config.write_text("trainer: {max_steps: 1}")
-    folder = tmp_path / "run"
-    early = Training(folder, [config], [], 1)
-    with pytest.raises(UserError, match="failed"):
-        Training(folder, [config], [], 1).run("fit")
-    # The note of another process that has trained and tested.
-    note = folder / NOTE
-    note.write_text(json.dumps({**json.loads(note.read_text()), "done": ["fit", "test"]}))
-    before = note.read_text()
-    early.run("fit")
-    early.run("test")
-    assert early.done
-    assert note.read_text() == before
-
-
 @pytest.mark.parametrize("text", ["", '{"arguments": [', "[]", "{}", '{"done": null}'])
 def test_a_damaged_note_is_one_sentence(text: str, tmp_path: Path) -> None:
     (tmp_path / NOTE).write_text(text)
@@ -204,7 +162,9 @@ def test_weights_of_an_unknown_training_are_not_resumed(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("real_solver")
-def test_missing_data_are_generated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_data_are_generated_and_a_failed_training_leaves_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     configs, root = tmp_path / "configs", tmp_path / "data"
     shutil.copytree(ROOT / "configs", configs)
     scene = yaml.safe_load((configs / "scene" / "sample.yaml").read_text())
@@ -213,34 +173,47 @@ def test_missing_data_are_generated(tmp_path: Path, capsys: pytest.CaptureFixtur
     data = yaml.safe_load((configs / "data" / "sample.yaml").read_text())
     data["data"]["init_args"]["root"] = str(root)
     (configs / "data" / "puddle.yaml").write_text(yaml.safe_dump(data))
-    # The stride exceeds the frames, so training fails as soon as it reads the data.
-    runs = json.dumps([{"scene": "puddle", "strides": [9], "seeds": [0]}])
-    arguments = [
-        "ablations",
-        f"--runs={runs}",
-        f"--configs={configs}",
-        f"--output={tmp_path / 'out'}",
+    # A stride that exceeds the frames fails as soon as the training reads the data.
+    scenes = [
+        {"scene": "puddle", "strides": [9], "seeds": [0]},
+        {"scene": "sample", "strides": [1], "seeds": [0]},
     ]
+    arguments = options(tmp_path / "out", 2)
+    arguments[1] = f"--runs={json.dumps(scenes)}"
     with pytest.raises(SystemExit, match="1"):
-        main(arguments)
+        main([*arguments, f"--configs={configs}", "--jobs=1"])
     output = capsys.readouterr()
     assert f"{root} holds train.h5, val.h5, test.h5." in output.out
     assert "no sample for train" in output.err
+    assert "the same command then does the rest" in output.err
+    assert "1 of 2 runs are finished" in output.out
 
 
-def test_a_changed_config_is_another_training(tmp_path: Path) -> None:
+def test_a_failed_training_says_why_and_leaves_its_folder_free(tmp_path: Path) -> None:
     config = tmp_path / "study.yaml"
-    config.write_text("trainer: {max_steps: 1}")
+    config.write_text("trainer: {max_stepz: 1}")
+    configs = [*(Path("configs", f"{name}.yaml") for name in ("trainer", "model/paper")), config]
     folder = tmp_path / "run"
-    with pytest.raises(UserError, match="failed"):
-        Training(folder, [config], [], 1).run("fit")
+    early = Training(folder, configs, [], 1)
+    with pytest.raises(UserError, match=r"fit of .*run failed: .*max_stepz"):
+        Training(folder, configs, [], 1).run("fit")
+    # Stages that another process has finished are not run again.
+    note = folder / NOTE
+    failed = note.read_text()
+    note.write_text(json.dumps({**json.loads(failed), "done": ["fit", "test"]}))
+    before = note.read_text()
+    early.run("fit")
+    early.run("test")
+    assert early.done
+    assert note.read_text() == before
+    # A changed config is another training; where the first saved nothing, the folder is free.
+    note.write_text(failed)
     config.write_text("trainer: {max_steps: 2}")
-    # The first saved nothing, so the folder is free.
-    Training(folder, [config], [], 1)
+    Training(folder, configs, [], 1)
     (folder / "checkpoints").mkdir()
     (folder / "checkpoints" / "last.ckpt").touch()
     with pytest.raises(UserError, match="with other options or configs"):
-        Training(folder, [config], [], 1)
+        Training(folder, configs, [], 1)
 
 
 @pytest.mark.parametrize(

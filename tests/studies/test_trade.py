@@ -22,6 +22,7 @@ from fluidsnet.errors import UserError
 from fluidsnet.main import main
 from fluidsnet.priors import PressureStep
 from fluidsnet.studies.parser import study_parser
+from fluidsnet.studies.trade import engine
 from fluidsnet.studies.trade.measure import measure
 from fluidsnet.studies.trade.model_points import ModelSteps
 from fluidsnet.studies.trade.options import ModelPoint, SolverPoint, TradeOptions
@@ -243,8 +244,12 @@ def test_a_cluster_of_two_workers_gives_the_same_errors(drops: Path, tmp_path: P
 
 
 def test_a_scheduler_that_is_not_there(
-    sample: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    sample: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(engine, "CONNECT", "1s")
     with pytest.raises(SystemExit):
         study(sample / "test.h5", tmp_path, [], [], "--scheduler=tcp://127.0.0.1:1")
     assert "--scheduler tcp://127.0.0.1:1" in capsys.readouterr().err

@@ -17,6 +17,8 @@ from fluidsnet.studies.trade.points import Point
 
 #: Results of a task, or why it failed.
 Outcome = Measured | str
+#: Longest time until a scheduler answers.
+CONNECT = "20s"
 
 
 @final
@@ -123,6 +125,6 @@ class Cluster(Engine):
                 n_workers=self._workers, threads_per_worker=1, dashboard_address=None
             )
         try:
-            return self._distributed.Client(self._scheduler, timeout="20s")
+            return self._distributed.Client(self._scheduler, timeout=CONNECT)
         except (OSError, ValueError) as error:
             raise UserError(f"--scheduler {self._scheduler}: {error}.") from error
