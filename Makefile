@@ -32,7 +32,7 @@ lint: setup ## check style and types
 
 test: setup lint ## check style and types, then run every test
 	@# GOMP_SPINCOUNT as in fluidsnet/main.py. Tests of a file share fixtures: one worker runs a file.
-	GOMP_SPINCOUNT=1000 $(IN_VENV) -m pytest -n 2 --dist loadfile
+	GOMP_SPINCOUNT=1000 $(IN_VENV) -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 docs: setup ## build the documentation site in site/; every warning is an error
 	NO_MKDOCS_2_WARNING=1 $(IN_VENV) -m mkdocs build --strict
