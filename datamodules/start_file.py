@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datamodules.schema import COMPRESSION, Header, SceneAttributes, create_frames
+from fluidsnet.disk_space import check_space
 
 Points = NDArray[np.floating[Any]]
 
@@ -55,6 +56,7 @@ def write_start(
         frames: Number of frames.
         seed: Seed of the random generator that drew the scene.
     """
+    check_space(path, 8 * (frames * sum(it.size for it in fluid) + solids.size))
     with h5py.File(path, "w") as file:
         header.write(file)
         group = file.create_group("00000")

@@ -8,3 +8,10 @@ class UserError(Exception):
 
     The command line prints the message without a traceback and exits with a non-zero status.
     """
+
+
+class NotWritten(UserError):
+    """An HDF5 file that could not be written, such as on a full disk.
+
+    HDF5 writes it again when the process ends, fails again, and crashes: end it without that.
+    """

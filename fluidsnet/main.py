@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 from jsonargparse import get_loader, set_loader
 from yaml import YAMLError
 
-from fluidsnet.errors import UserError
+from fluidsnet.errors import NotWritten, UserError
 from fluidsnet.plain_yaml import check_size, read_text
 from fluidsnet.printable import printable
 
@@ -109,6 +109,10 @@ def main(arguments: list[str] | None = None) -> None:
         _check_configs(options)
         run = getattr(import_module(module), function)
         run([command, *options] if module == "fluidsnet.cli" else options)
+    except NotWritten as error:
+        if arguments is None:
+            _end_without_hdf5(str(error))
+        _fail(str(error))
     except UserError as error:
         _fail(_message(error))
     except BrokenPipeError:
@@ -200,6 +204,7 @@ def _in_callback(ignored: sys.UnraisableHookArgs) -> None:
     """Raise Ctrl-C again, which Python drops where it comes in a callback of the garbage collector.
 
     HDF5 handles are counted by such callbacks, so that a loop that writes a file is often in one.
+    Of a full disk nothing is printed, which the main thread names.
     """
     if issubclass(ignored.exc_type, KeyboardInterrupt):
         # Raised at once, it would be dropped in this function, too.
@@ -207,7 +212,7 @@ def _in_callback(ignored: sys.UnraisableHookArgs) -> None:
         again = threading.Timer(0.01, signal.pthread_kill, (main_thread, signal.SIGINT))
         again.daemon = True
         again.start()
-    else:
+    elif not _NOT_WRITTEN.search(str(ignored.exc_value)):
         sys.__unraisablehook__(ignored)
 
 
@@ -215,6 +220,14 @@ def _fail(message: str) -> NoReturn:
     """Print a message to stderr and exit with status 1."""
     print(f"fluidsnet: {printable(message)}", file=sys.stderr)
     sys.exit(1)
+
+
+def _end_without_hdf5(message: str) -> NoReturn:
+    """Fail as `_fail` does, and end before HDF5 writes again what it could not, and crashes."""
+    print(f"fluidsnet: {printable(message)}", file=sys.stderr)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(1)
 
 
 def _message(error: UserError) -> str:

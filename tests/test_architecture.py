@@ -18,6 +18,7 @@ RANKS = {
     "fluidsnet.compile_cache": 0,
     "fluidsnet.console": 0,
     "fluidsnet.deprecated": 0,
+    "fluidsnet.disk_space": 1,
     "fluidsnet.distributed": 0,
     "fluidsnet.errors": 0,
     "fluidsnet.folder_lock": 1,
@@ -82,6 +83,7 @@ RANKS = {
 KNOWN_TO_DATA = {
     "fluidsnet.checksums",
     "fluidsnet.child_process",
+    "fluidsnet.disk_space",
     "fluidsnet.distributed",
     "fluidsnet.errors",
     "fluidsnet.folder_lock",

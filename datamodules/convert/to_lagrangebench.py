@@ -27,6 +27,7 @@ from datamodules.schema import (
     open_valid,
     simulations,
 )
+from fluidsnet.disk_space import check_space
 from fluidsnet.errors import UserError
 from fluidsnet.progress import Progress
 
@@ -54,6 +55,7 @@ def write_lagrangebench(folder: Path, root: Path) -> list[Path]:
     try:
         with Progress(total=_count(present), unit="frame", desc="converting") as bar:
             for split, path in present.items():
+                check_space(partial[split])
                 with open_valid(path) as source, h5py.File(partial[split], "w") as target:
                     _check_alike(path, source, statistics)
                     shapes[split] = []
@@ -127,8 +129,10 @@ def _write(source: h5py.Group, target: h5py.Group, bar: Progress) -> TrajectoryS
     )
     moving = source["solid_position"].ndim == 3
     rest = None if moving else source["solid_position"][()]
-    statistics = TrajectoryStatistics(scene)
+    statistics, path = TrajectoryStatistics(scene), Path(target.file.filename)
     for frame in range(frames):
+        target.file.flush()
+        check_space(path, 2 * position.dtype.itemsize * shape[1] * shape[2])
         fluid = source["position"][frame]
         solid = source["solid_position"][frame] if rest is None else rest
         speeds = source["solid_velocity"][frame] if rest is None else np.zeros_like(rest)

@@ -10,6 +10,7 @@ import numpy as np
 
 from datamodules.convert.simulation import Array, Frame, Simulation, Source
 from datamodules.schema import COMPRESSION, DAMAGE, SPLITS, create_frames, validate
+from fluidsnet.disk_space import check_space
 from fluidsnet.errors import UserError
 from fluidsnet.progress import Progress
 
@@ -32,6 +33,7 @@ def write_files(source: Source, root: Path) -> list[Path]:
     try:
         with Progress(total=source.frames, unit="frame", desc="converting") as bar:
             for split, path in partial.items():
+                check_space(path)
                 with h5py.File(path, "w") as file:
                     source.header.write(file)
                     for number, name in enumerate(source.splits[split]):
@@ -83,12 +85,14 @@ def _write(group: h5py.Group, simulation: Simulation, interval: float, bar: Prog
     if first.solid_position is not None:
         names = ("solid_position", "solid_velocity")
         datasets += create_frames(group, len(first.solid_position), names)
-    count = 0
+    count, path = 0, Path(group.file.filename)
     for frame in chain([first], frames):
         _check(frame, first, count)
+        check_space(path, sum(values.nbytes for values in frame if values is not None))
         for dataset, values in zip(datasets, frame, strict=False):
             dataset.resize(count + 1, axis=0)
             dataset[count] = values
+        group.file.flush()
         count += 1
         bar.update()
     further: dict[str, Array] = {
@@ -98,6 +102,7 @@ def _write(group: h5py.Group, simulation: Simulation, interval: float, bar: Prog
     }
     if first.solid_position is None:
         further["solid_position"] = np.asarray(simulation.solid_position, np.float32)
+    check_space(path, sum(values.nbytes for values in further.values()))
     for name, values in further.items():
         group.create_dataset(name, data=values, **COMPRESSION)
 

@@ -18,6 +18,7 @@ from datamodules.generate.job import Job
 from datamodules.generate.process import run_job
 from datamodules.generate.solver import load_solver
 from datamodules.schema import SPLITS
+from fluidsnet.disk_space import check_space
 from fluidsnet.errors import UserError
 from fluidsnet.folder_lock import FolderLock
 from fluidsnet.progress import Progress
@@ -197,6 +198,7 @@ def _join(target: Path, sources: list[Path], failures: list[Failure]) -> None:
                 f"the first with {failed[0].reason}"
             )
         return
+    check_space(target, sum(source.stat().st_size for source in sources))
     with whole_file(target) as partial, h5py.File(partial, "w") as file:
         for source in sources:
             with h5py.File(source, "r") as part:

@@ -16,6 +16,7 @@ Layout, for T steps of N particles::
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,9 +26,16 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fluidsnet.errors import UserError
+from fluidsnet.disk_space import check_space
+from fluidsnet.errors import NotWritten, UserError
 
 Array: TypeAlias = NDArray[Any]
+
+# HDF5's own, which name the number of the system's error.
+_HDF5_ERRORS = (OSError, RuntimeError)
+_NUMBER = re.compile(r"errno = (\d+)")
+# Files that HDF5 could not write: it crashes where it closes one, as when nothing refers to it.
+_GIVEN_UP: list[h5py.File] = []
 
 _COMPRESSION: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 
@@ -42,7 +50,8 @@ class TrajectoryFile:
     ``with`` block ends. It is valid after every `append`, and renamed even where an exception
     ends the block: a rollout stopped at step 900 is a file of 900 steps. Without a step the
     temporary file is removed and ``<path>`` stays as it was. A killed process leaves
-    ``<path>.tmp`` with the steps appended so far.
+    ``<path>.tmp`` with the steps appended so far. On a full disk a step is refused before HDF5
+    begins to write it.
 
     Example::
 
@@ -73,6 +82,7 @@ class TrajectoryFile:
     def __enter__(self) -> Self:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
+            check_space(self.path)
             self._file = h5py.File(self._temporary, "w")
         except OSError as error:
             raise UserError(f"{self.path}: cannot be written: {error}.") from error
@@ -85,10 +95,13 @@ class TrajectoryFile:
         if self._file is None:
             return
         file, self._file = self._file, None
-        for name, (shape, _) in self._first.items():
-            # An interrupted append may have left rows after the last complete step.
-            file["VTKHDF"][name].resize(self._steps * shape[0], axis=0)
-        file.close()
+        try:
+            for name, (shape, _) in self._first.items():
+                # An interrupted append may have left rows after the last complete step.
+                file["VTKHDF"][name].resize(self._steps * shape[0], axis=0)
+            file.close()
+        except _HDF5_ERRORS as error:
+            raise self._given_up(file, error) from error
         if self._steps:
             os.replace(self._temporary, self.path)
         else:
@@ -112,6 +125,8 @@ class TrajectoryFile:
 
         Raises:
             ValueError: names, shapes or types differ from the first step, or time is not later.
+            UserError: the disk is full; the steps before are kept.
+            NotWritten: HDF5 could not write.
         """
         if self._file is None:
             raise RuntimeError("append must be called in the `with` block of the TrajectoryFile")
@@ -119,7 +134,18 @@ class TrajectoryFile:
             raise ValueError(f"time must be later than {self._last_time} s, not {time} s")
         step = self._rows(time, position, point_data or {}, field_data or {})
         self._check(step)
-        root = self._file["VTKHDF"]
+        kept = f"; its {self._steps} steps up to {self._last_time:g} s are kept"
+        size = sum(rows.nbytes for rows in step.values())
+        check_space(self.path, size, kept if self._steps else "")
+        try:
+            self._write(self._file, step)
+        except _HDF5_ERRORS as error:
+            file, self._file = self._file, None
+            raise self._given_up(file, error) from error
+        self._steps, self._last_time = self._steps + 1, time
+
+    def _write(self, file: h5py.File, step: dict[str, Array]) -> None:
+        root = file["VTKHDF"]
         for name, rows in step.items():
             if name not in self._first:
                 tail = rows.shape[1:]
@@ -131,9 +157,15 @@ class TrajectoryFile:
             start = self._steps * len(rows)
             root[name].resize(start + len(rows), axis=0)
             root[name][start:] = rows
-        self._steps, self._last_time = self._steps + 1, time
-        root["Steps"].attrs.modify("NSteps", np.int64(self._steps))
-        self._file.flush()
+        root["Steps"].attrs.modify("NSteps", np.int64(self._steps + 1))
+        file.flush()
+
+    def _given_up(self, file: h5py.File, error: OSError | RuntimeError) -> NotWritten:
+        """Return what went wrong, and never touch the file again."""
+        _GIVEN_UP.append(file)
+        number = _NUMBER.search(str(error))
+        reason = os.strerror(int(number[1])) if number else " ".join(str(error).split()[:20])
+        return NotWritten(f"{self.path} cannot be written: {reason}.")
 
     def _rows(
         self, time: float, position: Array, points: Mapping[str, Array], field: Mapping[str, float]
