@@ -45,7 +45,11 @@ class SolidWriter(Callback, RolloutObserver):
         attributes = file_attributes(start.state.scene)
         self._file = TrajectoryFile(path, int(self._moves.sum()), attributes)
         self._files.enter_context(self._file)
-        self._append(0, start.state)
+        try:
+            self._append(0, start.state)
+        except BaseException:
+            self._files.close()
+            raise
 
     def on_rollout_step(
         self, start: RolloutStart, step: int, states: Mapping[str, Particles]

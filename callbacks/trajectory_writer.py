@@ -42,7 +42,11 @@ class TrajectoryWriter(Callback, RolloutObserver):
         self._file.__enter__()
         zeros = dict.fromkeys(_ERRORS.values(), 0.0)
         outside = {"escaped": float(escaped(start.state))}
-        self._append(0, start.state, start.state, zeros | outside)
+        try:
+            self._append(0, start.state, start.state, zeros | outside)
+        except BaseException:
+            self.on_rollout_end(start)
+            raise
 
     def on_rollout_step(
         self, start: RolloutStart, step: int, states: Mapping[str, Particles]

@@ -55,6 +55,9 @@ def write_start(
         solids: (M, 3) of the solid particles, m.
         frames: Number of frames.
         seed: Seed of the random generator that drew the scene.
+
+    Raises:
+        UserError: The disk is full.
     """
     check_space(path, 8 * (frames * sum(it.size for it in fluid) + solids.size))
     with h5py.File(path, "w") as file:

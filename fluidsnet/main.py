@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import re
@@ -64,6 +65,9 @@ cuboid_basin_small, dam_break_small, drop_pool_small. `--run box_drops` writes t
 
 # In an error of HDF5, the file and the number of the system's error.
 _NOT_WRITTEN = re.compile(r"filename = '([^']+)'.*errno = (\d+)", re.DOTALL)
+
+# Numbers of the system's errors where a disk, a quota or the size of a file is at its limit.
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 # Command to module and function. Modules are imported on demand: some take seconds, and the
 # solver must not be loaded for training.
@@ -204,7 +208,7 @@ def _in_callback(ignored: sys.UnraisableHookArgs) -> None:
     """Raise Ctrl-C again, which Python drops where it comes in a callback of the garbage collector.
 
     HDF5 handles are counted by such callbacks, so that a loop that writes a file is often in one.
-    Of a full disk nothing is printed, which the main thread names.
+    Of a full disk nothing is printed: the main thread names it.
     """
     if issubclass(ignored.exc_type, KeyboardInterrupt):
         # Raised at once, it would be dropped in this function, too.
@@ -212,7 +216,9 @@ def _in_callback(ignored: sys.UnraisableHookArgs) -> None:
         again = threading.Timer(0.01, signal.pthread_kill, (main_thread, signal.SIGINT))
         again.daemon = True
         again.start()
-    elif not _NOT_WRITTEN.search(str(ignored.exc_value)):
+        return
+    written = _NOT_WRITTEN.search(str(ignored.exc_value))
+    if not (written and int(written[2]) in _FULL):
         sys.__unraisablehook__(ignored)
 
 
@@ -224,10 +230,13 @@ def _fail(message: str) -> NoReturn:
 
 def _end_without_hdf5(message: str) -> NoReturn:
     """Fail as `_fail` does, and end before HDF5 writes again what it could not, and crashes."""
-    print(f"fluidsnet: {printable(message)}", file=sys.stderr)
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(1)
+    try:
+        print(f"fluidsnet: {printable(message)}", file=sys.stderr)
+        sys.stderr.flush()
+        sys.stdout.flush()
+    finally:
+        # The streams may go to the same full disk.
+        os._exit(1)
 
 
 def _message(error: UserError) -> str:

@@ -245,9 +245,11 @@ class FluidsNet(LightningModule):
             reference_rollout(batch, self.model.integrator),
             strict=True,
         )
-        for observer in observers:
-            observer.on_rollout_start(batch)
+        started: list[RolloutObserver] = []
         try:
+            for observer in observers:
+                observer.on_rollout_start(batch)
+                started.append(observer)
             for step, (state, references) in enumerate(states, start=1):
                 self._check_terminated()
                 # States are measured in full precision.
@@ -255,7 +257,7 @@ class FluidsNet(LightningModule):
                     for observer in observers:
                         observer.on_rollout_step(batch, step, {"model": state, **references})
         finally:
-            for observer in observers:
+            for observer in started:
                 observer.on_rollout_end(batch)
 
     @classmethod

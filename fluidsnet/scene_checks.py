@@ -15,6 +15,13 @@ from fluidsnet.scene import Scene
 def check_scenes(network: Network, prior: Prior, scenes: Scene) -> None:
     """Check that a network and its prior can step frames of all of these scenes.
 
+    Warns of what the prior leaves out, and of values outside those of the training data.
+
+    Args:
+        network: Network.
+        prior: Step that it corrects.
+        scenes: Scenes.
+
     Raises:
         UserError: The global feature is bound to a grid, and the domains differ; a block does
             not know periodic axes; or the network was trained in another number of dimensions,

@@ -14,10 +14,10 @@ from fluidsnet.scene import Scene
 from tools.demo import reason_against_the_solver
 
 #: Files that take longest, which start first, so that no worker waits for another in the end.
-LONGEST = (
+LONGEST = {
     *("test_cli.py", "test_ablations.py", "test_tutorial.py", "test_trade.py"),
     *("test_ablations_report.py", "test_report.py", "test_speed.py", "test_resume.py"),
-)
+}
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 

@@ -6,7 +6,8 @@ import multiprocessing
 import os
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
@@ -17,10 +18,11 @@ PROCESSES = multiprocessing.get_context("forkserver")
 PROCESSES.set_forkserver_preload(["fluidsnet.cli", "datamodules.sph"])
 
 
+@contextmanager
 def started(
     arguments: list[str], output: Path, first: Callable[[], None] | None = None
-) -> BaseProcess:
-    """Start `fluidsnet` with arguments, as a shell would in the foreground.
+) -> Iterator[BaseProcess]:
+    """Run `fluidsnet` with arguments, as a shell would in the foreground, to the end of the block.
 
     Args:
         arguments: Command and options.
@@ -29,7 +31,11 @@ def started(
     """
     process = PROCESSES.Process(target=_run, args=(arguments, output, first))
     process.start()
-    return process
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.join()
 
 
 def _run(arguments: list[str], output: Path, first: Callable[[], None] | None) -> None:

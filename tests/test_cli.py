@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import h5py
@@ -630,17 +631,18 @@ def killed(
     """Run a command, send it a signal once a file is large; return its status and output."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     output = folder.parent / "output.txt"
-    process = started(arguments, output)
-    assert process.pid is not None
-    deadline = time.monotonic() + 120
-    while process.is_alive():
-        if any(path.stat().st_size > size for path in folder.glob(sign)):
-            break
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    os.kill(process.pid, number)
-    process.join(120)
-    return process.exitcode, output.read_text()
+    with started(arguments, output) as process:
+        assert process.pid is not None
+        deadline = time.monotonic() + 120
+        while process.is_alive():
+            if any(path.stat().st_size > size for path in folder.glob(sign)):
+                break
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        with suppress(ProcessLookupError):
+            os.kill(process.pid, number)
+        process.join(120)
+        return process.exitcode, output.read_text()
 
 
 @pytest.mark.parametrize(

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import os
 import resource
+import shutil
 import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 import pytest
-from processes import started
 
 from datamodules.convert.command import convert_command
+from datamodules.schema import SceneAttributes, open_valid
+from datamodules.start_file import start_header, write_start
 from fluidsnet.errors import UserError
 from fluidsnet.export.vtkhdf import TrajectoryFile, read_field_data, read_frame
 from tools.soak_runs import small_disk
@@ -64,6 +69,24 @@ def test_a_data_set_that_does_not_fit_leaves_nothing(
     assert list(root.iterdir()) == []
 
 
+def test_room_is_checked_wherever_a_data_file_is_written(
+    sample: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usage = shutil.disk_usage(tmp_path)
+    header = start_header("Pool", particle_radius=0.05, frame_interval=0.02)
+    with open_valid(sample / "val.h5") as file:
+        scene = SceneAttributes.read(file["00000"])
+    points = np.zeros((10, 3))
+    arguments = (tmp_path / "start.h5", header, scene, (points, points), points)
+    write_start(*arguments)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=1_049_000))
+    with pytest.raises(UserError, match=r"start\.h5 cannot be written: No space left on device"):
+        write_start(*arguments)
+    file = TrajectoryFile(tmp_path / "rollout.vtkhdf", 2000)
+    with pytest.raises(UserError, match=r"rollout\.vtkhdf cannot be written: No space left"):
+        file.__enter__()
+
+
 def no_large_files() -> None:
     """Let no file grow beyond 50 kB, which the size of the disk does not tell."""
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -71,7 +94,6 @@ def no_large_files() -> None:
 
 
 def test_hdf5_that_cannot_write_ends_the_program_in_words(sample: Path, tmp_path: Path) -> None:
-    output = tmp_path / "output.txt"
     arguments = [
         "predict",
         *(f"--config={CONFIGS / 'model' / 'prior.yaml'}", f"--config={CONFIGS / 'trainer.yaml'}"),
@@ -79,9 +101,13 @@ def test_hdf5_that_cannot_write_ends_the_program_in_words(sample: Path, tmp_path
         "--trainer.callbacks=[callbacks.TrajectoryWriter]",
         f"--trainer.logger.init_args.save_dir={tmp_path}",
     ]
-    process = started(arguments, output, first=no_large_files)
-    process.join(120)
-    said = output.read_text()
-    assert process.exitcode == 1, said
-    assert said.rstrip().endswith("00000.vtkhdf cannot be written: File too large."), said
-    assert "Traceback" not in said and "excepthook" not in said
+    # Not by `started`, whose processes end without HDF5's last writes.
+    ended = subprocess.run(
+        [sys.executable, "-m", "fluidsnet.main", *arguments],
+        preexec_fn=no_large_files, capture_output=True, text=True, check=False, timeout=120,
+        env={**os.environ, "PYTHONPATH": str(CONFIGS.parent)},
+    )  # fmt: skip
+    assert ended.returncode == 1, ended
+    said = ended.stderr.rstrip().splitlines()[-1]
+    assert said.startswith("fluidsnet: ") and said.endswith("cannot be written: File too large.")
+    assert "Traceback" not in ended.stderr and "excepthook" not in ended.stderr

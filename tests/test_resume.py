@@ -61,20 +61,20 @@ def train(arguments: list[str], last: Path, saves: int | None, delay: float = 0.
         saves: Number of writes of it after which the process is killed; None for none.
         delay: Time from the last of them to the kill, s.
     """
-    process = started(arguments, last.parents[2].with_suffix(".txt"))
     seen, found = 0, last.stat().st_mtime_ns if last.exists() else 0
-    deadline = time.monotonic() + 300
-    while process.is_alive():
-        assert time.monotonic() < deadline
-        written = last.stat().st_mtime_ns if last.exists() else 0
-        seen, found = seen + (written != found), written
-        if saves is not None and seen >= saves:
-            time.sleep(delay)
-            process.kill()
-        time.sleep(0.002)
-    process.join()
-    assert process.exitcode in (0, -9)
-    return process.exitcode == 0
+    with started(arguments, last.parents[2].with_suffix(".txt")) as process:
+        deadline = time.monotonic() + 300
+        while process.is_alive():
+            assert time.monotonic() < deadline
+            written = last.stat().st_mtime_ns if last.exists() else 0
+            seen, found = seen + (written != found), written
+            if saves is not None and seen >= saves:
+                time.sleep(delay)
+                process.kill()
+            time.sleep(0.002)
+        process.join()
+        assert process.exitcode in (0, -9)
+        return process.exitcode == 0
 
 
 def weights(path: Path) -> dict[str, Any]:

@@ -171,7 +171,9 @@ def compile_wheels(names: list[str], folder: Path, parallel: bool) -> None:
     compiler = next((c for c in compilers if c and shutil.which(shlex.split(c)[0])), None)
     if compiler is None or not Path(sysconfig.get_path("include"), "Python.h").exists():
         raise InstallError(f"torch-scatter and torch-cluster are compiled here: install {needs}")
-    print("compiling 23 files (more with CUDA), once for this torch: about six minutes;")
+    print(
+        "compiling 23 files (more with CUDA), once for this torch: about four minutes on two cores;"
+    )
     print(f"the wheels are kept in {folder}")
     # Each compiler needs up to 2 GiB.
     gibibytes = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") >> 30

@@ -41,7 +41,7 @@ def write_lagrangebench(folder: Path, root: Path) -> list[Path]:
 
     Raises:
         UserError: A file is not valid, or the simulations differ in their number of frames, box,
-            periodic axes or dimension, for which LagrangeBench has one value.
+            periodic axes or dimension, for which LagrangeBench has one value; or the disk is full.
     """
     present = {split: folder / f"{split}.h5" for split in FILES}
     present = {split: path for split, path in present.items() if path.is_file()}
@@ -116,7 +116,8 @@ def _write(source: h5py.Group, target: h5py.Group, bar: Progress) -> TrajectoryS
         target[name] = source[name][()]
     if scene.dimension == 2:
         target.attrs["plane"] = float(source["position"][0, 0, 2])
-    kind = _particle_type(source)
+    kind, path = _particle_type(source), Path(target.file.filename)
+    check_space(path, kind.nbytes)
     target["particle_type"] = kind
     rows = [np.flatnonzero(kind == FLUID), np.flatnonzero(np.isin(kind, (WALL, MOVING_WALL)))]
     frames = len(source["position"])
@@ -129,7 +130,7 @@ def _write(source: h5py.Group, target: h5py.Group, bar: Progress) -> TrajectoryS
     )
     moving = source["solid_position"].ndim == 3
     rest = None if moving else source["solid_position"][()]
-    statistics, path = TrajectoryStatistics(scene), Path(target.file.filename)
+    statistics = TrajectoryStatistics(scene)
     for frame in range(frames):
         target.file.flush()
         check_space(path, 2 * position.dtype.itemsize * shape[1] * shape[2])

@@ -25,7 +25,7 @@ def write_files(source: Source, root: Path) -> list[Path]:
         root: Folder of the data set; it must not hold one already.
 
     Raises:
-        UserError: The folder holds data, or a simulation cannot be converted.
+        UserError: The folder holds data, a simulation cannot be converted, or the disk is full.
     """
     check_free(root, [f"{split}.h5" for split in SPLITS])
     targets = {split: root / f"{split}.h5" for split in source.splits}

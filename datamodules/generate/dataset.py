@@ -198,7 +198,8 @@ def _join(target: Path, sources: list[Path], failures: list[Failure]) -> None:
                 f"the first with {failed[0].reason}"
             )
         return
-    check_space(target, sum(source.stat().st_size for source in sources))
+    kept = "; make room and repeat the command: complete simulations are kept"
+    check_space(target, sum(source.stat().st_size for source in sources), kept)
     with whole_file(target) as partial, h5py.File(partial, "w") as file:
         for source in sources:
             with h5py.File(source, "r") as part:

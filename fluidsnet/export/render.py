@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 from fluidsnet.export.camera import Camera
 from fluidsnet.export.colors import BACKGROUND, FLOOR, LINES, SOLID, TEXT
 from fluidsnet.export.speed_colors import speed_colormap, speed_colors, speed_scale
-from fluidsnet.kernels.spheres import nearest_spheres
 from fluidsnet.whole_file import whole_file
 
 if TYPE_CHECKING:
@@ -183,6 +182,9 @@ def _spheres(
         Picture (height, width, 4) of red, green, blue, opacity; and the number of fluid particles
         in it.
     """
+    # Imported here because numba and torch are slow to import.
+    from fluidsnet.kernels.spheres import nearest_spheres
+
     width, height = camera.width * _SUPERSAMPLING, camera.height * _SUPERSAMPLING
     position = np.concatenate([np.asarray(panel.position, float), panel.solid])
     with np.errstate(all="ignore"):

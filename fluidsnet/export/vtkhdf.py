@@ -51,7 +51,7 @@ class TrajectoryFile:
     ends the block: a rollout stopped at step 900 is a file of 900 steps. Without a step the
     temporary file is removed and ``<path>`` stays as it was. A killed process leaves
     ``<path>.tmp`` with the steps appended so far. On a full disk a step is refused before HDF5
-    begins to write it.
+    begins to write it; where HDF5 fails itself (`NotWritten`), ``<path>.tmp`` stays.
 
     Example::
 
@@ -82,13 +82,18 @@ class TrajectoryFile:
     def __enter__(self) -> Self:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            check_space(self.path)
+            # Vertices and offsets are stored once, 8 bytes each.
+            check_space(self.path, 16 * self.particles)
             self._file = h5py.File(self._temporary, "w")
         except OSError as error:
             raise UserError(f"{self.path}: cannot be written: {error}.") from error
-        root = self._file.create_group("VTKHDF")
-        root.attrs.update(self._attributes)
-        _write_static(root, self.particles)
+        try:
+            root = self._file.create_group("VTKHDF")
+            root.attrs.update(self._attributes)
+            _write_static(root, self.particles)
+        except _HDF5_ERRORS as error:
+            file, self._file = self._file, None
+            raise self._given_up(file, error) from error
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -99,6 +104,7 @@ class TrajectoryFile:
             for name, (shape, _) in self._first.items():
                 # An interrupted append may have left rows after the last complete step.
                 file["VTKHDF"][name].resize(self._steps * shape[0], axis=0)
+            file["VTKHDF/Steps"].attrs.modify("NSteps", np.int64(self._steps))
             file.close()
         except _HDF5_ERRORS as error:
             raise self._given_up(file, error) from error

@@ -19,7 +19,7 @@ def nearest_spheres(
     Args:
         center: (N, 3) column and row, pixels, and distance from the eye, m.
         size: (N,) radius in the picture, pixels.
-        radius: m.
+        radius: Radius of a sphere, m.
         width: Pixels.
         height: Pixels.
     """

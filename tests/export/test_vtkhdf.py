@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkIOHDF import vtkHDFReader
 
-from fluidsnet.errors import UserError
+from fluidsnet.errors import NotWritten, UserError
 from fluidsnet.export import TrajectoryFile, read_field_data, read_frame, vtkhdf
 from fluidsnet.export.vtkhdf import read_attributes
 
@@ -177,6 +177,35 @@ def test_an_append_cut_short_leaves_no_half_step(
         assert whole["VTKHDF/Points"].shape == whole["VTKHDF/PointData/velocity"].shape == (N, 3)
     assert vtk_reader(path).GetNumberOfSteps() == 1
     np.testing.assert_array_equal(read_frame(path, 0)[1]["velocity"], state(0)[1]["velocity"])
+
+
+def test_a_step_whose_flush_is_cut_short_is_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "rollout.vtkhdf"
+
+    def ctrl_c(self: Any) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), TrajectoryFile(path, particles=N) as file:
+        file.append(time(0), *state(0))
+        monkeypatch.setattr(h5py.File, "flush", ctrl_c)
+        file.append(time(1), *state(1))
+    assert vtk_reader(path).GetNumberOfSteps() == 1
+    np.testing.assert_array_equal(read_frame(path, -1)[0], read_frame(path, 0)[0])
+
+
+def test_what_hdf5_cannot_write_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "rollout.vtkhdf"
+
+    def full(self: Any) -> None:
+        raise RuntimeError("Unable to flush (file write failed: filename = 'x', errno = 28, …)")
+
+    with TrajectoryFile(path, particles=N) as file:
+        monkeypatch.setattr(h5py.File, "flush", full)
+        with pytest.raises(NotWritten, match=r"rollout\.vtkhdf cannot be written: No space left"):
+            file.append(time(0), *state(0))
+    assert [it.name for it in tmp_path.iterdir()] == ["rollout.vtkhdf.tmp"]
 
 
 def test_a_killed_process_leaves_its_steps_in_the_temporary_file(tmp_path: Path) -> None:

@@ -52,17 +52,18 @@ def test_an_interrupted_study_goes_on_and_ends_once(
     # The keyboard signals the whole process group, a scheduler the study alone.
     for number, send, status in ((signal.SIGINT, os.killpg, 130), (signal.SIGTERM, os.kill, 143)):
         output = tmp_path / "output.txt"
-        study = started(arguments, output, first=os.setsid)
-        assert study.pid is not None
-        before = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
-        deadline = time.monotonic() + 120
-        while time.monotonic() < deadline:
-            if checkpoint.exists() and checkpoint.stat().st_mtime_ns > before:
-                break
-            time.sleep(0.05)
-        send(study.pid, number)
-        study.join(60)
-        assert study.exitcode == status, output.read_text()
+        with started(arguments, output, first=os.setsid) as study:
+            assert study.pid is not None
+            before = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
+            deadline = time.monotonic() + 120
+            while time.monotonic() < deadline:
+                if checkpoint.exists() and checkpoint.stat().st_mtime_ns > before:
+                    break
+                time.sleep(0.05)
+            with suppress(ProcessLookupError):
+                send(study.pid, number)
+            study.join(60)
+            assert study.exitcode == status, output.read_text()
         assert json.loads((run / NOTE).read_text())["done"] == []
 
     main(arguments)
