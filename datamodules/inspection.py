@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from textwrap import indent
+from typing import final
 
 import h5py
 import numpy as np
@@ -60,8 +62,22 @@ def inspect_simulation(
     return row, [lower, upper], suspicions.damage(group), suspicions.sentences(group)
 
 
-def describe(path: Path) -> str:
-    """Return a summary of a file as text.
+@final
+@dataclass(frozen=True)
+class Summary:
+    """Summary of a file.
+
+    Attributes:
+        text: What is in it, damaged and suspicious.
+        damaged: `fit`, `test` and `predict` refuse some of its frames.
+    """
+
+    text: str
+    damaged: bool
+
+
+def summarize(path: Path) -> Summary:
+    """Return a summary of a file.
 
     Raises:
         UserError: the file is not valid, damaged, or not that of its checksum.
@@ -107,7 +123,7 @@ def describe(path: Path) -> str:
         lines += ["", f"{title}:", *texts] if texts else []
     if not any(it[2] or it[3] for it in reports):
         lines.append("  nothing suspicious")
-    return printable("\n".join(lines))
+    return Summary(printable("\n".join(lines)), damaged=any(it[2] for it in reports))
 
 
 def _threads(group: h5py.Group) -> str:

@@ -131,7 +131,7 @@ def outcome_of(path: Path) -> str:
     import torch
 
     import datamodules.guard
-    from datamodules.inspection import describe
+    from datamodules.inspection import summarize
     from datamodules.needs import grid_shape
     from datamodules.reader import FrameReader
     from fluidsnet import load
@@ -151,7 +151,7 @@ def outcome_of(path: Path) -> str:
             if not bool(after.position.isfinite().all() & after.velocity.isfinite().all()):
                 return "silent"
         reader.close()
-        describe(path)
+        summarize(path)
     except UserError as error:
         return "refused" if str(error).strip() else "silent"
     return "harmless"

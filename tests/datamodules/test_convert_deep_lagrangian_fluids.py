@@ -16,7 +16,7 @@ import pytest
 import zstandard
 
 from datamodules.convert.command import convert_command
-from datamodules.inspection import describe
+from datamodules.inspection import summarize
 from datamodules.schema import Header, SceneAttributes, simulations
 from fluidsnet.errors import UserError
 from fluidsnet.main import main
@@ -100,7 +100,7 @@ def test_records_become_the_simulation_they_were(
                 assert scene.domain_upper == pytest.approx((1.5, 1, 1.5))
             header = Header.read(after)
             assert (header.dt, header.support_radius) == (0.02, 0.24)
-    assert "nothing suspicious" in describe(tmp_path / "out" / "train.h5")
+    assert "nothing suspicious" in summarize(tmp_path / "out" / "train.h5").text
 
 
 def test_folders_are_splits_and_constants_are_known(records: Path, tmp_path: Path) -> None:

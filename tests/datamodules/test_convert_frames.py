@@ -27,7 +27,7 @@ from datamodules.convert.command import convert_command
 from datamodules.convert.ply_file import read_ply
 from datamodules.convert.vtk_file import read_vtk
 from datamodules.generate.particle_file import write_bgeo
-from datamodules.inspection import describe
+from datamodules.inspection import summarize
 from datamodules.schema import Header, SceneAttributes
 from fluidsnet.errors import UserError
 
@@ -103,7 +103,7 @@ def test_frames_of_the_solver(pattern: str, exported: Path, tmp_path: Path) -> N
         )
         header = Header.read(file)
         assert (header.dt, header.particle_radius, header.support_radius) == (0.02, 0.05, 0.2)
-    assert "nothing suspicious" in describe(tmp_path / "test.h5")
+    assert "nothing suspicious" in summarize(tmp_path / "test.h5").text
 
 
 def test_both_exports_hold_the_same(exported: Path) -> None:

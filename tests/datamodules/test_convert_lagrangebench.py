@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from datamodules.convert.command import convert_command
-from datamodules.inspection import describe
+from datamodules.inspection import summarize
 from datamodules.schema import Header, SceneAttributes, create_frames, simulations
 from fluidsnet.errors import UserError
 
@@ -96,7 +96,7 @@ def test_real_files_are_read_with_their_periods(lennard_jones: Path, tmp_path: P
         assert np.abs(missed - np.round(missed)).max() < 1e-6
         assert np.abs(velocity).max() < 10  # one box in a frame is 1,000 m/s
         assert np.array_equal(velocity[0], velocity[1])
-    assert "periodic         x, y, z" in describe(tmp_path / "out" / "train.h5")
+    assert "periodic         x, y, z" in summarize(tmp_path / "out" / "train.h5").text
 
 
 def test_walls_move_and_padding_goes(write_cavity: Write, tmp_path: Path) -> None:
@@ -120,7 +120,7 @@ def test_walls_move_and_padding_goes(write_cavity: Write, tmp_path: Path) -> Non
         speed = np.zeros((10, 3, 3))
         speed[:, 1, 0] = 3
         assert np.allclose(group["solid_velocity"], speed, atol=1e-3)
-    assert "dimension        2" in describe(tmp_path / "out" / "val.h5")
+    assert "dimension        2" in summarize(tmp_path / "out" / "val.h5").text
 
 
 def test_walls_at_rest_are_stored_once(write_cavity: Write, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from datamodules.inspection import describe
+from datamodules.inspection import summarize
 from datamodules.needs import grid_shape
 from datamodules.reader import FrameReader, read_state
 from datamodules.rollout_starts import HDF5RolloutStarts
@@ -20,6 +20,7 @@ from fluidsnet import load
 from fluidsnet.errors import UserError
 from fluidsnet.main import main
 from fluidsnet.reporting.file_places import file_places
+from fluidsnet.studies.plan.command import inspect_command
 
 Change = Callable[[h5py.File], None]
 #: A corner of a box in map coordinates, m; no number of float32.
@@ -120,7 +121,11 @@ def test_a_value_that_is_not_finite_is_named(file: Path) -> None:
     start = HDF5RolloutStarts(reader, 1)[0]
     with pytest.raises(UserError, match="frame 7 of /00000 are not finite"):
         start.truth[7]
-    assert "1 frames are not finite, or beyond 1e+30, the first is 7" in describe(file)
+    summary = summarize(file)
+    assert summary.damaged
+    assert "1 frames are not finite, or beyond 1e+30, the first is 7" in summary.text
+    with pytest.raises(UserError, match=r"damaged, as above: .*\.h5"):
+        inspect_command([str(file)])
 
 
 def test_training_ends_at_a_value_that_is_not_finite(
@@ -188,7 +193,7 @@ def test_a_box_far_from_zero_steps_as_one_at_zero(sample: Path, file: Path) -> N
     assert places.dtype == np.float64
     assert np.abs(places - FAR - near.position.numpy()).max() < 1e-5
     assert file_places(near.position, near).dtype == np.float32
-    assert "nothing suspicious" in describe(file)
+    assert "nothing suspicious" in summarize(file).text
 
 
 def test_coordinates_that_float32_has_rounded_are_suspicious(file: Path) -> None:
@@ -197,7 +202,7 @@ def test_coordinates_that_float32_has_rounded_are_suspicious(file: Path) -> None
         for group in (handle[name] for name in handle):
             replaced(group, "position", data=group["position"][()].astype(np.float32))
 
-    text = describe(changed(file, rounded))
+    text = summarize(changed(file, rounded)).text
     assert "float32 tells places 0.5 m apart so far from zero; store positions as float64" in text
 
 

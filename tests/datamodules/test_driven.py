@@ -20,7 +20,7 @@ from datamodules.generate.driven import StirredTank, WaveMaker
 from datamodules.generate.moving_solids import describe_solids, solids_from
 from datamodules.generate.recipe import Recipe
 from datamodules.generate.scenes import SceneKind
-from datamodules.inspection import describe
+from datamodules.inspection import summarize
 from fluidsnet import load
 from fluidsnet.calibration import measure_residuals
 from fluidsnet.errors import UserError
@@ -100,7 +100,7 @@ def test_no_fluid_starts_in_the_solid_or_close_to_it(driven: tuple[str, Path]) -
     values, moves = read(driven[1])
     offsets = values["position"][0][:, None] - values["solid_position"][0][None, moves]
     assert np.linalg.norm(offsets, axis=-1).min() > 2 * RADIUS
-    assert "move" in describe(driven[1])
+    assert "move" in summarize(driven[1]).text
 
 
 def test_the_prior_feels_the_solid_move(driven: tuple[str, Path]) -> None:

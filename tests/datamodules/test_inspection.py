@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 import pytest
 
-from datamodules.inspection import describe
+from datamodules.inspection import summarize
 from fluidsnet.errors import UserError
 from fluidsnet.studies.plan.command import inspect_command
 
@@ -35,7 +35,7 @@ def row(text: str, name: str) -> list[str]:
 
 
 def test_a_report_says_what_the_file_holds(sample: Path) -> None:
-    text = describe(sample / "train.h5")
+    text = summarize(sample / "train.h5").text
     with h5py.File(sample / "train.h5") as file:
         assert f"{len(file)} simulation(s)" in text
         for name, group in file.items():
@@ -69,7 +69,7 @@ def test_a_report_shows_what_differs_between_simulations(write_file: Write) -> N
         viscosity=[0.01, 0.5],
         surface_tension=[0.0, 0.25],
     )
-    text = describe(path)
+    text = summarize(path).text
     assert re.search(r"gravity +0, -9.81, 0 m/s²\n", text)
     assert not re.search(r"^  (domain|viscosity|surface tension)", text, re.MULTILINE)
     assert "periodic" not in text and "dimension" not in text
@@ -86,7 +86,7 @@ def test_a_report_shows_what_differs_between_simulations(write_file: Write) -> N
 
 @pytest.mark.parametrize("split", ["train", "val", "test"])
 def test_nothing_in_the_sample_is_suspicious(sample: Path, split: str) -> None:
-    text = describe(sample / f"{split}.h5")
+    text = summarize(sample / f"{split}.h5").text
     assert text.endswith("nothing suspicious")
     assert "suspicious:" not in text
 
@@ -171,7 +171,7 @@ def test_what_is_suspicious_is_found_where_it_is(copy: Path, case: str) -> None:
     with h5py.File(copy, "a") as file:
         spoil(file)
     # Below the table: what is damaged, and what is suspicious.
-    suspicions = describe(copy).partition("fluid lies between")[2]
+    suspicions = summarize(copy).text.partition("fluid lies between")[2]
     assert re.search(rf"/00001: .*{expected}", suspicions)
     if case != "another dt":  # the one that concerns the whole file
         assert "/00000" not in suspicions and "/00002" not in suspicions
@@ -181,7 +181,7 @@ def test_velocities_of_another_unit_are_suspicious(copy: Path) -> None:
     with h5py.File(copy, "a") as file:
         for group in file.values():
             group["velocity"][...] *= 100
-    assert "positions and velocities disagree" in describe(copy)
+    assert "positions and velocities disagree" in summarize(copy).text
 
 
 def test_a_frame_that_cannot_be_read_is_named(copy: Path) -> None:
@@ -191,7 +191,7 @@ def test_a_frame_that_cannot_be_read_is_named(copy: Path) -> None:
         content.seek(chunk.byte_offset)
         content.write(b"\xff" * chunk.size)
     with pytest.raises(UserError, match=r"train\.h5: .*damaged"):
-        describe(copy)
+        summarize(copy)
 
 
 @pytest.mark.parametrize("error", [OSError, KeyError, RuntimeError])
@@ -203,7 +203,7 @@ def test_whatever_h5py_raises_is_damage(
 
     monkeypatch.setattr(h5py.Dataset, "__getitem__", fails)
     with pytest.raises(UserError, match=r"train\.h5: .*damaged .*a bad sector"):
-        describe(copy)
+        summarize(copy)
 
 
 def test_what_only_the_generator_writes_may_be_missing(copy: Path) -> None:
@@ -211,7 +211,7 @@ def test_what_only_the_generator_writes_may_be_missing(copy: Path) -> None:
         for group in file.values():
             for name in ("seed", "scene_parameters", "threads"):
                 del group.attrs[name]
-    text = describe(copy)
+    text = summarize(copy).text
     assert row(text, "00000")[7] == "(?)"
     assert text.endswith("nothing suspicious")
 

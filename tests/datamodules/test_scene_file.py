@@ -16,7 +16,7 @@ from datamodules.generate.dataset import generate
 from datamodules.generate.mesh import write_box
 from datamodules.generate.scene_file import SceneFile, package_scenes
 from datamodules.generate.scene_file_plan import SceneFilePlan
-from datamodules.inspection import describe
+from datamodules.inspection import summarize
 from datamodules.reader import FrameReader
 from datamodules.schema import Header, SceneAttributes, validate
 from fluidsnet.errors import UserError
@@ -172,7 +172,7 @@ def test_an_animated_body_moves(tmp_path: Path, scene: dict[str, Any]) -> None:
     travel = position[-1, moved] - position[0, moved]
     np.testing.assert_allclose(travel, [[0, 0.05, 0]] * moved.sum(), atol=1e-3)
     np.testing.assert_allclose(velocity[-1, moved], [[0, 0.5, 0]] * moved.sum(), atol=1e-4)
-    assert re.search(r"solids +move", describe(tmp_path / "data" / "test.h5"))
+    assert re.search(r"solids +move", summarize(tmp_path / "data" / "test.h5").text)
 
 
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {

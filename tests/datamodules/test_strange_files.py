@@ -15,7 +15,7 @@ import hdf5plugin
 import numpy as np
 import pytest
 
-from datamodules.inspection import describe
+from datamodules.inspection import summarize
 from datamodules.reader import FrameReader
 from datamodules.schema import validate
 from fluidsnet.errors import UserError
@@ -151,7 +151,7 @@ def test_texts_of_a_file_reach_no_terminal_as_control_characters(file: Path) -> 
         handle.attrs["scene"] = handle.attrs["solver"] = "\x1b[2Jgone"
         handle["00000"].attrs["threads"] = "\x1b[2J"
 
-    text = describe(changed(file, obeyed))
+    text = summarize(changed(file, obeyed)).text
     assert "\x1b" not in text and r"\x1b[2Jgone" in text
 
 
@@ -174,7 +174,7 @@ def swapped(handle: h5py.File) -> None:
 
 
 def test_axes_that_are_swapped_are_suspicious(file: Path) -> None:
-    text = describe(changed(file, swapped))
+    text = summarize(changed(file, swapped)).text
     assert re.search(r"without falling along gravity, \(0, -9.81, 0\) m/s²: .* -z, so axes", text)
 
 
@@ -185,7 +185,7 @@ def test_solids_outside_the_domain_are_counted(file: Path) -> None:
         values[:3] = [[-1.0, 0.1, 0.1], [-1.0, 0.2, 0.1], [-1.0, 0.3, 0.1]]
         solids[...] = values
 
-    text = describe(changed(file, raised))
+    text = summarize(changed(file, raised)).text
     assert "3 of 1510 solids are more than a support radius outside the domain" in text
 
 
@@ -203,7 +203,7 @@ def test_what_inspect_calls_damaged_is_not_read(
     file: Path, change: Change, told: str, refused: str
 ) -> None:
     before = FrameReader(file).fluid("00000", 4)
-    _, _, damaged = describe(changed(file, change)).partition("damaged, and refused by fit")
+    _, _, damaged = summarize(changed(file, change)).text.partition("damaged, and refused")
     assert told in damaged
     reader = FrameReader(file)
     assert (reader.fluid("00000", 4)[0] == before[0]).all()
@@ -218,4 +218,4 @@ def test_fluid_at_rest_is_not_taken_for_a_frame_stored_twice(file: Path) -> None
         velocity[...] = 1e-4
 
     changed(file, resting)
-    assert "the same as the one before" not in describe(file)
+    assert "the same as the one before" not in summarize(file).text

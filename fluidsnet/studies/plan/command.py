@@ -8,7 +8,7 @@ from pathlib import Path
 
 import torch
 
-from datamodules.inspection import describe
+from datamodules.inspection import summarize
 from datamodules.needs import grid_shape, varying
 from datamodules.reader import FrameReader
 from datamodules.schema import SPLITS
@@ -35,7 +35,7 @@ def inspect_command(arguments: list[str]) -> None:
     """Print summaries of data files, or the plan of a model.
 
     Raises:
-        UserError: A file is not valid, or the model cannot step the scene.
+        UserError: A file is not valid, or damaged, or the model cannot step the scene.
     """
     parser = ArgumentParser(prog="fluidsnet inspect", description=_DESCRIPTION)
     parser.add_argument(
@@ -66,8 +66,13 @@ def inspect_command(arguments: list[str]) -> None:
             for sums in write_checksums(_hashed(options.files)):
                 print(sums)
             return
+        damaged = []
         for file in _all_files(options.files):
-            print(describe(file))
+            summary = summarize(file)
+            print(summary.text)
+            damaged += [str(file)] if summary.damaged else []
+        if damaged:
+            raise UserError(f"damaged, as above: {', '.join(damaged)}.")
         return
     path = options.data or next(iter(options.files), None)
     if path is None:
