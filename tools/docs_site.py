@@ -6,10 +6,12 @@ and links to files that are no pages lead to the page that has their content.
 
 from __future__ import annotations
 
+import os
 import posixpath
 import re
 from pathlib import Path
 
+import nbconvert
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
@@ -29,6 +31,11 @@ FOLDERS = {
 _LINK = re.compile(r"(\]\()([^)\s#]*)(#[^)\s]*)?(\))")
 _PAGE_LINK = re.compile(r'href="([^":#]+\.md)(#[^"]*|)"')
 _CODE = re.compile(r"^(```.*?^```)", re.MULTILINE | re.DOTALL)
+
+
+# Where `make setup` links the environment of an installed torch, nbconvert may be in that one, and
+# looks for its templates in this one.
+os.environ.setdefault("JUPYTER_PATH", str(Path(nbconvert.__file__).parents[4] / "share/jupyter"))
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
