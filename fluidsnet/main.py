@@ -136,8 +136,12 @@ def main(arguments: list[str] | None = None) -> None:
         reason = " ".join(str(error).split()[:40])
         _fail(f"not enough memory ({reason}); lower data.batch_size or raise data.voxel_size.")
     except KeyboardInterrupt:
-        print("fluidsnet: interrupted.", file=sys.stderr)
-        sys.exit(130)
+        _interrupted()
+    except SystemError as error:
+        # What Python makes of Ctrl-C that comes while numba calls a kernel.
+        if not isinstance(error.__cause__, KeyboardInterrupt):
+            raise
+        _interrupted()
 
 
 def _start_process() -> None:
@@ -220,6 +224,12 @@ def _in_callback(ignored: sys.UnraisableHookArgs) -> None:
     written = _NOT_WRITTEN.search(str(ignored.exc_value))
     if not (written and int(written[2]) in _FULL):
         sys.__unraisablehook__(ignored)
+
+
+def _interrupted() -> NoReturn:
+    """Say so, and exit with the status of SIGINT."""
+    print("fluidsnet: interrupted.", file=sys.stderr)
+    sys.exit(130)
 
 
 def _fail(message: str) -> NoReturn:

@@ -711,3 +711,18 @@ except KeyboardInterrupt:
     ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
     assert ended.stdout.endswith("came\n")
     assert not ended.stderr
+
+
+def test_ctrl_c_while_a_kernel_is_called_is_ctrl_c(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def called(arguments: list[str]) -> None:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as interrupt:
+            raise SystemError("CPUDispatcher(…) returned a result with an error") from interrupt
+
+    monkeypatch.setattr("fluidsnet.doctor.doctor_command", called)
+    with pytest.raises(SystemExit, match="130"):
+        main(["doctor"])
+    assert capsys.readouterr().err == "fluidsnet: interrupted.\n"
