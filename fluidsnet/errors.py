@@ -14,4 +14,11 @@ class NotWritten(UserError):
     """An HDF5 file that could not be written, such as on a full disk.
 
     HDF5 writes it again when the process ends, fails again, and crashes: end it without that.
+
+    Attributes:
+        full: A disk, a quota or the size of a file is at its limit.
     """
+
+    def __init__(self, message: str, full: bool = False) -> None:
+        super().__init__(message)
+        self.full = full

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import errno
 import io
 import os
-import re
 import signal
 import sys
 import threading
@@ -16,6 +14,7 @@ from typing import Any, NoReturn
 from jsonargparse import get_loader, set_loader
 from yaml import YAMLError
 
+from fluidsnet.disk_space import not_written
 from fluidsnet.errors import NotWritten, UserError
 from fluidsnet.plain_yaml import check_size, read_text
 from fluidsnet.printable import printable
@@ -63,12 +62,6 @@ cuboid_basin_small, dam_break_small, drop_pool_small. `--run box_drops` writes t
 `fluidsnet <command> --help` lists the options of a command.
 """
 
-# In an error of HDF5, the file and the number of the system's error.
-_NOT_WRITTEN = re.compile(r"filename = '([^']+)'.*errno = (\d+)", re.DOTALL)
-
-# Numbers of the system's errors where a disk, a quota or the size of a file is at its limit.
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-
 # Command to module and function. Modules are imported on demand: some take seconds, and the
 # solver must not be loaded for training.
 _COMMANDS = {
@@ -114,9 +107,7 @@ def main(arguments: list[str] | None = None) -> None:
         run = getattr(import_module(module), function)
         run([command, *options] if module == "fluidsnet.cli" else options)
     except NotWritten as error:
-        if arguments is None:
-            _end_without_hdf5(str(error))
-        _fail(str(error))
+        _fail_at_hdf5(error, arguments is None)
     except UserError as error:
         _fail(_message(error))
     except BrokenPipeError:
@@ -129,8 +120,8 @@ def main(arguments: list[str] | None = None) -> None:
         # A full disk, a folder that may not be written, a name that is too long.
         _fail(f"{error.filename or command}: {os.strerror(error.errno)}.")
     except (MemoryError, RuntimeError) as error:
-        if written := _NOT_WRITTEN.search(str(error)):
-            _fail(f"{written[1]} cannot be written: {os.strerror(int(written[2]))}.")
+        if failure := not_written(error):
+            _fail_at_hdf5(failure, arguments is None)
         if not _lacks_memory(error):
             raise
         reason = " ".join(str(error).split()[:40])
@@ -221,8 +212,8 @@ def _in_callback(ignored: sys.UnraisableHookArgs) -> None:
         again.daemon = True
         again.start()
         return
-    written = _NOT_WRITTEN.search(str(ignored.exc_value))
-    if not (written and int(written[2]) in _FULL):
+    failure = not_written(ignored.exc_value)
+    if failure is None or not failure.full:
         sys.__unraisablehook__(ignored)
 
 
@@ -238,10 +229,12 @@ def _fail(message: str) -> NoReturn:
     sys.exit(1)
 
 
-def _end_without_hdf5(message: str) -> NoReturn:
+def _fail_at_hdf5(error: NotWritten, whole_process: bool) -> NoReturn:
     """Fail as `_fail` does, and end before HDF5 writes again what it could not, and crashes."""
+    if not whole_process:
+        _fail(str(error))
     try:
-        print(f"fluidsnet: {printable(message)}", file=sys.stderr)
+        print(f"fluidsnet: {printable(str(error))}", file=sys.stderr)
         sys.stderr.flush()
         sys.stdout.flush()
     finally:

@@ -93,17 +93,23 @@ def no_large_files() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
 
 
-def test_hdf5_that_cannot_write_ends_the_program_in_words(sample: Path, tmp_path: Path) -> None:
-    arguments = [
-        "predict",
-        *(f"--config={CONFIGS / 'model' / 'prior.yaml'}", f"--config={CONFIGS / 'trainer.yaml'}"),
-        *(f"--config={CONFIGS / 'data' / 'sample.yaml'}", f"--data.init_args.root={sample}"),
-        "--trainer.callbacks=[callbacks.TrajectoryWriter]",
-        f"--trainer.logger.init_args.save_dir={tmp_path}",
-    ]
+@pytest.mark.parametrize("command", ["predict", "convert"])
+def test_hdf5_that_cannot_write_ends_the_program_in_words(
+    command: str, sample: Path, tmp_path: Path
+) -> None:
+    arguments = {
+        "predict": [
+            f"--config={CONFIGS / 'model' / 'prior.yaml'}",
+            *(f"--config={CONFIGS / name}" for name in ("trainer.yaml", "data/sample.yaml")),
+            f"--data.init_args.root={sample}",
+            "--trainer.callbacks=[callbacks.TrajectoryWriter]",
+            f"--trainer.logger.init_args.save_dir={tmp_path}",
+        ],
+        "convert": [str(sample), "--to=lagrangebench", f"--root={tmp_path / 'data'}"],
+    }
     # Not by `started`, whose processes end without HDF5's last writes.
     ended = subprocess.run(
-        [sys.executable, "-m", "fluidsnet.main", *arguments],
+        [sys.executable, "-m", "fluidsnet.main", command, *arguments[command]],
         preexec_fn=no_large_files, capture_output=True, text=True, check=False, timeout=120,
         env={**os.environ, "PYTHONPATH": str(CONFIGS.parent)},
     )  # fmt: skip

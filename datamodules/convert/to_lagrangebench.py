@@ -27,7 +27,7 @@ from datamodules.schema import (
     open_valid,
     simulations,
 )
-from fluidsnet.disk_space import check_space
+from fluidsnet.disk_space import check_space, not_written
 from fluidsnet.errors import UserError
 from fluidsnet.progress import Progress
 
@@ -71,7 +71,8 @@ def write_lagrangebench(folder: Path, root: Path) -> list[Path]:
             path.replace(targets[split])
         note.replace(root / "metadata.json")
     except DAMAGE as error:
-        raise UserError(f"{folder}: a frame cannot be read; it is damaged ({error}).") from error
+        damaged = UserError(f"{folder}: a frame cannot be read; it is damaged ({error}).")
+        raise not_written(error) or damaged from error
     finally:
         for path in [*partial.values(), root / "metadata.json.tmp"]:
             path.unlink(missing_ok=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from datamodules.convert.simulation import Array, Frame, Simulation, Source
 from datamodules.schema import COMPRESSION, DAMAGE, SPLITS, create_frames, validate
-from fluidsnet.disk_space import check_space
+from fluidsnet.disk_space import check_space, not_written
 from fluidsnet.errors import UserError
 from fluidsnet.progress import Progress
 
@@ -44,7 +44,7 @@ def write_files(source: Source, root: Path) -> list[Path]:
                         except UserError as error:
                             raise UserError(f"{name}: {error}") from error
                         except DAMAGE as error:
-                            raise UserError(
+                            raise not_written(error) or UserError(
                                 f"{name}: it cannot be read, or its copy not written: {error}."
                             ) from error
                 validate(path)

@@ -16,7 +16,6 @@ Layout, for T steps of N particles::
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -26,14 +25,13 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fluidsnet.disk_space import check_space
+from fluidsnet.disk_space import check_space, not_written
 from fluidsnet.errors import NotWritten, UserError
 
 Array: TypeAlias = NDArray[Any]
 
-# HDF5's own, which name the number of the system's error.
+# Of HDF5.
 _HDF5_ERRORS = (OSError, RuntimeError)
-_NUMBER = re.compile(r"errno = (\d+)")
 # Files that HDF5 could not write: it crashes where it closes one, as when nothing refers to it.
 _GIVEN_UP: list[h5py.File] = []
 
@@ -169,9 +167,10 @@ class TrajectoryFile:
     def _given_up(self, file: h5py.File, error: OSError | RuntimeError) -> NotWritten:
         """Return what went wrong, and never touch the file again."""
         _GIVEN_UP.append(file)
-        number = _NUMBER.search(str(error))
-        reason = os.strerror(int(number[1])) if number else " ".join(str(error).split()[:20])
-        return NotWritten(f"{self.path} cannot be written: {reason}.")
+        said = " ".join(str(error).split()[:20])
+        return not_written(error, self.path) or NotWritten(
+            f"{self.path} cannot be written: {said}."
+        )
 
     def _rows(
         self, time: float, position: Array, points: Mapping[str, Array], field: Mapping[str, float]
