@@ -20,7 +20,6 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from processes import started
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.plugins.custom_scalar.layout_pb2 import Layout
 
@@ -33,6 +32,7 @@ from fluidsnet.main import USAGE, main
 from fluidsnet.models import shipped_models
 from fluidsnet.models.loading import has_weights
 from tools.demo import OF_IISPH
+from tools.processes import started
 
 ROOT = Path(__file__).parents[1]
 CONFIGS = ROOT / "configs"

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 import torch
 import yaml
-from processes import started
 
 from fluidsnet.main import main
+from tools.processes import started
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 STEPS = 34

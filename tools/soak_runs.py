@@ -8,8 +8,6 @@ whole, and a training that ends says why in a sentence.
 from __future__ import annotations
 
 import contextlib
-import multiprocessing as mp
-import os
 import random
 import shutil
 import subprocess
@@ -19,6 +17,8 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+
+from tools.processes import started
 
 ROOT = Path(__file__).resolve().parents[1]
 #: Longest time that a training may take, s.
@@ -51,17 +51,6 @@ def arguments(folder: Path) -> list[str]:
     ]
 
 
-def _train(folder: Path, log: Path) -> None:
-    """Train in this process; its output goes to a file."""
-    with log.open("w") as file:
-        os.dup2(file.fileno(), 1)
-        os.dup2(file.fileno(), 2)
-    mp.set_start_method("fork", force=True)
-    from fluidsnet.main import main
-
-    main(arguments(folder))
-
-
 def damaged(folder: Path) -> list[Path]:
     """Return the checkpoints in a folder that cannot be read."""
     from fluidsnet.checkpoint_io import WholeCheckpoints
@@ -76,44 +65,30 @@ def damaged(folder: Path) -> list[Path]:
     return found
 
 
-class Trainings:
-    """Starts trainings in processes that share one import of PyTorch.
+def outcome(folder: Path, log: Path, life: float | None = None) -> tuple[str, str]:
+    """Train and return what became of it, and the end of what it said.
 
     Args:
-        scratch: Folder for their output.
+        folder: Folder of the run.
+        log: File for what it says.
+        life: Time after which the process is killed, s; None for none.
     """
-
-    def __init__(self, scratch: Path) -> None:
-        self._context = mp.get_context("forkserver")
-        self._context.set_forkserver_preload(["fluidsnet.cli", "datamodules.sph"])
-        self._log = scratch / "log.txt"
-
-    def outcome(self, folder: Path, life: float | None = None) -> tuple[str, str]:
-        """Train and return what became of it, and the end of what it said.
-
-        Args:
-            folder: Folder of the run.
-            life: Time after which the process is killed, s; None for none.
-        """
-        process = self._context.Process(target=_train, args=(folder, self._log))
-        process.start()
+    with started(arguments(folder), log) as process:
         process.join(LIMIT if life is None else life)
         hung = process.is_alive()
-        process.kill()
-        process.join()
-        said = self._log.read_text(errors="replace") if self._log.exists() else ""
-        last = said.strip().rpartition("\n")[2]
-        if hung and life is None:
-            return "hang", said[-2000:]
-        if "Traceback" in said:
-            return "traceback", said[-4000:]
-        if broken := damaged(folder):
-            return "silent", f"damaged: {broken[0].name}"
-        if process.exitcode in (0, -9):
-            return "harmless", last
-        if process.exitcode == 1 and last.startswith("fluidsnet: "):
-            return "refused", last
-        return "crash", f"exit status {process.exitcode}: {last}"
+    said = log.read_text(errors="replace") if log.exists() else ""
+    last = said.strip().rpartition("\n")[2]
+    if hung and life is None:
+        return "hang", said[-2000:]
+    if "Traceback" in said:
+        return "traceback", said[-4000:]
+    if broken := damaged(folder):
+        return "silent", f"damaged: {broken[0].name}"
+    if process.exitcode in (0, -9):
+        return "harmless", last
+    if process.exitcode == 1 and last.startswith("fluidsnet: "):
+        return "refused", last
+    return "crash", f"exit status {process.exitcode}: {last}"
 
 
 @contextlib.contextmanager
@@ -142,23 +117,23 @@ def soak_runs(seconds: float, seed: int) -> Counter[str]:
     draw, began = random.Random(seed), time.monotonic()
     with tempfile.TemporaryDirectory() as name:
         scratch = Path(name)
-        trainings, run, small = Trainings(scratch), scratch / "run", scratch / "small"
+        log, run, small = scratch / "log.txt", scratch / "run", scratch / "small"
         tried = 0
         while tried < 2 or time.monotonic() - began < seconds:
             tried += 1
             if tried == 1 or (tried > 2 and draw.random() < 0.7):
                 what = f"killed after {(life := draw.uniform(1.0, 12.0)):.1f} s"
-                outcome, said = trainings.outcome(run, life)
+                ended, said = outcome(run, log, life)
             else:
                 size = draw.randrange(50, 1500)
                 with small_disk(small, size) as mounted:
                     if not mounted:
                         continue
                     what = f"on a disk of {size} kB"
-                    outcome, said = trainings.outcome(small)
-            counts[outcome] += 1
-            if outcome not in ("refused", "harmless"):
-                print(f"{outcome}: a training {what}\n{said}", flush=True)
+                    ended, said = outcome(small, log)
+            counts[ended] += 1
+            if ended not in ("refused", "harmless"):
+                print(f"{ended}: a training {what}\n{said}", flush=True)
             elif draw.random() < 0.3:
                 shutil.rmtree(run, ignore_errors=True)  # starts afresh
     sys.stdout.flush()

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import pytest
 import yaml
-from processes import started
 
 from fluidsnet.errors import UserError
 from fluidsnet.main import main
 from fluidsnet.reporting.results import results_folders
 from fluidsnet.studies.training import NOTE, Training
+from tools.processes import started
 
 ROOT = Path(__file__).parents[2]
 
